@@ -1,0 +1,1711 @@
+r"""Which perception model should a robot run at each step?  The mathematics, in the paper's order.
+
+A robot follows x_{t+1} = A x_t + B u_t + C s_t for t = 0..H-1.  It never sees the perception
+input s_t; at every step it runs one of W perception models and acts on the estimate
+s_hat_t = s_t + error.  A small model is cheap and wrong, a large one is dear and right.
+A schedule c = (w_0, ..., w_{H-1}) names the model of every step.  Wrong estimates cost the
+controller e' Psi e more than true ones, so the best schedule in expectation minimises
+
+    alpha * (mu_c' Psi mu_c + sum_t trace(Psi_tt Sigma_{t,w_t}))  +  beta * sum_t kappa_{w_t},
+
+quadratic in the mean errors, linear in the variances: an integer quadratic programme.
+The functions stand in the order of the paper: task -> Psi -> problem -> schedule.
+
+Symbol table (paper: "Dynamic Selection of Perception Models for Robotic Control";
+equations by their LaTeX labels)
+
+==================  ==============  ===================  ==========  =========================
+name here           paper           shape                unit        equation
+==================  ==============  ===================  ==========  =========================
+horizon, H          H               int                  steps       ``eq:dynamics``
+n, m, p             n, -, p         ints                 -           ``eq:dynamics``
+A, B, C             A, B, C         (n,n) (n,m) (n,p)    per step    ``eq:dynamics``
+Q, R, Q_final       c, c_{H-1}      (n,n) (m,m) (n,n)    cost        ``eq:jc``
+s, s_hat            s, s-hat        (H, p)               perception  ``eq:perceptionModel``
+errors, e           s-hat - s       (H, p)               perception  ``eq:control_cost_diff``
+psi                 Psi             (pH, pH)             cost/per^2  ``eq:control_cost_diff``
+choices, c          c               (H,) ints            model       ``prob:model_selection``
+one-hot, b          b               (H, W)               0 or 1      ``eq:perEncoding``
+mean, mu            g_exp           (H, W, p)            perception  ``eq:perModelExp``
+variance, Sigma     g_var           (H, W, p[, p])       per^2       ``eq:perModelVar``
+model_cost, kappa   cost_per        (W,) or (H, W)       cost        ``eq:perceptionCost``
+alpha, beta         alpha, beta     floats >= 0          -           ``eq:jtot``
+linear, l           -               (H, W)               cost        ``opt:model_selection_
+                                                                     expectation_sol``
+reference, d        -               (pH,)                perception  (ours: the certificate)
+==================  ==============  ===================  ==========  =========================
+
+A vector over time is flattened with entry r of step t at index t*p + r.  Inside functions the
+paper's letters are used, unpacked in the first lines.
+"""
+
+from __future__ import annotations
+
+import heapq
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from time import perf_counter
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+import scipy.linalg as la
+
+Array = npt.NDArray[np.float64]
+Choices = npt.NDArray[np.intp]
+
+INFORMATION = ("open_loop", "preview", "causal", "measurement")
+
+# A matrix counts as symmetric, or an eigenvalue as non-negative, up to this fraction of its
+# size: a thousand times what rounding leaves behind in a product of double-precision matrices.
+MATRIX_TOLERANCE = 1e-12
+# A schedule counts as optimal when its relative gap is at most this.
+OPTIMALITY_GAP = 1e-9
+# The exact solvers treat costs as equal that differ by less than this fraction.
+ROUNDING = 1e-10
+# Share of its diagonal by which Psi is shifted before it is factored (see `_triangle`).
+SHIFT = 1e-9
+
+
+# ----------------------------------------------------------------------------- the checker
+
+
+def check_array(
+    name: str, value: npt.ArrayLike, axes: str, sizes: Sequence[int | None], *, finite: bool = True
+) -> Array:
+    """Return `value` as a read-only float copy, or say in one line what is wrong with it.
+
+    Parameters
+    ----------
+    name : str
+        What the caller calls the argument; opens every message.
+    value : array_like
+        Real numbers: booleans, integers or floats.
+    axes : str
+        Names of the axes, such as ``"H W p"``; a leading ``...`` admits axes in front.
+    sizes : sequence of int or None
+        Expected length of each named axis, ``None`` where any positive length will do.
+    finite : bool
+        Whether infinities are refused; NaN always is.
+
+    Raises
+    ------
+    ValueError
+        Naming the argument, what was expected and what was found.
+    """
+    try:
+        raw = np.asarray(value)
+    except ValueError:
+        raise ValueError(f"{name}: expected a rectangular array, found ragged sequences") from None
+    if raw.dtype.kind not in "biuf":
+        raise ValueError(f"{name}: expected real numbers, found dtype {raw.dtype}")
+    letters = axes.replace("...", "").split()
+    found = raw.shape[max(0, raw.ndim - len(letters)) :] if "..." in axes else raw.shape
+    fits = len(found) == len(letters) and all(
+        got == want if want is not None else got > 0 for got, want in zip(found, sizes, strict=True)
+    )
+    if not fits or 0 in raw.shape:
+        named = ", ".join(axes.split()) + ("," if len(axes.split()) == 1 else "")
+        wanted = ["..."] * ("..." in axes) + [
+            letter if want is None else str(want)
+            for letter, want in zip(letters, sizes, strict=True)
+        ]
+        raise ValueError(
+            f"{name}: expected shape ({named}) = ({', '.join(wanted)}"
+            f"{',' if len(wanted) == 1 else ''}), found {raw.shape}"
+        )
+    array = np.array(raw, dtype=np.float64)
+    if np.isnan(array).any() or (finite and np.isinf(array).any()):
+        raise ValueError(f"{name}: expected finite numbers, found NaN or infinity")
+    array.flags.writeable = False
+    return array
+
+
+def check_number(name: str, value: Any, *, minimum: float = -math.inf) -> float:
+    """Return `value` as a finite float of at least `minimum`, or raise ValueError saying why."""
+    number = float(check_array(name, value, "", ()))
+    if number < minimum:
+        raise ValueError(f"{name}: expected a number >= {minimum:g}, found {number:g}")
+    return number
+
+
+def check_count(name: str, value: Any, *, minimum: int = 1) -> int:
+    """Return `value` as an int of at least `minimum`, or raise ValueError saying why."""
+    number = check_number(name, value)
+    if isinstance(value, bool | np.bool_) or number != int(number) or number < minimum:
+        raise ValueError(f"{name}: expected an integer >= {minimum}, found {value!r}")
+    return int(number)
+
+
+def check_semidefinite(name: str, matrices: Array, *, definite: bool = False) -> None:
+    """Raise ValueError unless every (k, k) matrix is symmetric positive semidefinite.
+
+    The tolerance is relative to each matrix's trace (`MATRIX_TOLERANCE`), so the units of the
+    cost do not matter.  With `definite`, zero eigenvalues are refused as well.
+    """
+    size = np.trace(np.abs(matrices), axis1=-2, axis2=-1)
+    skew = np.abs(matrices - np.swapaxes(matrices, -1, -2)).max(axis=(-1, -2))
+    if np.any(skew > MATRIX_TOLERANCE * size):
+        raise ValueError(
+            f"{name}: expected a symmetric matrix, found asymmetry {skew.max():.3g}; "
+            f"symmetrise it first: ({name} + {name}.T) / 2"
+        )
+    smallest = np.linalg.eigvalsh(matrices)[..., 0]
+    bad = smallest <= 0 if definite else smallest < -MATRIX_TOLERANCE * size
+    if np.any(bad):
+        kind = "positive definite" if definite else "positive semidefinite"
+        raise ValueError(
+            f"{name}: expected a {kind} matrix, found smallest eigenvalue {smallest.min():.3g}"
+        )
+
+
+def check_information(information: str) -> None:
+    """Raise ValueError unless `information` names one of the four patterns."""
+    if information not in INFORMATION:
+        raise ValueError(
+            f"information: expected one of {', '.join(INFORMATION)}, found {information!r}"
+        )
+
+
+# ------------------------------------------------------- the control task and its controllers
+
+
+@dataclass(frozen=True, eq=False)
+class ControlTask:
+    """A linear-quadratic control task with a perception input.
+
+    x_{t+1} = A x_t + B u_t + C s_t for t = 0..H-1 (``eq:dynamics``), with cost
+    J = sum_{t=1}^{H-1} x_t'Q x_t + x_H'Q_final x_H + sum_{t=0}^{H-1} u_t'R u_t: ``eq:jc``, with
+    its terminal state read as x_H and the constant x_0'Q x_0 left out.
+
+    Every matrix is constant, or varies with time and then has a leading axis of length H.
+    A square array given transposed has the right shape and cannot be caught.
+
+    Parameters
+    ----------
+    A : array_like, (n, n) or (H, n, n)
+        Dynamics.
+    B : array_like, (n, m) or (H, n, m)
+        Effect of the control.
+    C : array_like, (n, p) or (H, n, p)
+        Effect of the perception input.
+    Q : array_like, (n, n) or (H, n, n)
+        State cost, positive semidefinite; Q_t weighs x_t, so Q_0 is never used.
+    R : array_like, (m, m) or (H, m, m)
+        Control cost, positive definite.
+    horizon : int
+        Number of steps H >= 1.
+    Q_final : array_like, (n, n), optional
+        Terminal state cost, positive semidefinite; `Q` if that is constant, else required.
+
+    Raises
+    ------
+    ValueError
+        A wrong shape, a number that is not finite, an asymmetric or indefinite cost.
+    """
+
+    A: Array
+    B: Array
+    C: Array
+    Q: Array
+    R: Array
+    horizon: int
+    Q_final: Array | None = None
+
+    def __post_init__(self) -> None:
+        H = check_count("horizon", self.horizon)
+        n, m, p = (np.shape(value)[-1:] or (None,) for value in (self.A, self.B, self.C))
+        axes = {"A": ("n n", (*n, *n)), "B": ("n m", (*n, *m)), "C": ("n p", (*n, *p))}
+        axes |= {"Q": ("n n", (*n, *n)), "R": ("m m", (*m, *m))}
+        checked: dict[str, Any] = {"horizon": H}
+        for name, (letters, sizes) in axes.items():
+            value = getattr(self, name)
+            if np.ndim(value) == 3:
+                letters, sizes = "H " + letters, (H, *sizes)
+            checked[name] = check_array(name, value, letters, sizes)
+        if self.Q_final is None and checked["Q"].ndim == 3:
+            raise ValueError("Q_final: required when Q varies with time, found None")
+        final = checked["Q"] if self.Q_final is None else self.Q_final
+        checked["Q_final"] = check_array("Q_final", final, "n n", (*n, *n))
+        check_semidefinite("Q", checked["Q"])
+        check_semidefinite("Q_final", checked["Q_final"])
+        check_semidefinite("R", checked["R"], definite=True)
+        for name, value in checked.items():
+            object.__setattr__(self, name, value)
+
+    @property
+    def n(self) -> int:
+        """Dimension of the state."""
+        return int(self.A.shape[-1])
+
+    @property
+    def m(self) -> int:
+        """Dimension of the control."""
+        return int(self.B.shape[-1])
+
+    @property
+    def p(self) -> int:
+        """Dimension of the perception input."""
+        return int(self.C.shape[-1])
+
+    def over_time(self) -> tuple[Array, Array, Array, Array, Array]:
+        """Return A, B, C, Q, R with a time axis: 0..H-1, but 0..H for Q, whose last is Q_final."""
+        H = self.horizon
+        A, B, C, Q, R = (
+            np.broadcast_to(M, (H, *M.shape[-2:])) for M in (self.A, self.B, self.C, self.Q, self.R)
+        )
+        return A, B, C, np.concatenate([Q, np.asarray(self.Q_final)[None]]), R
+
+
+class Riccati(NamedTuple):
+    """The backward recursion of the linear-quadratic regulator (see `riccati`)."""
+
+    P: Array  #: (H+1, n, n), cost-to-go x_t'P_t x_t
+    S: Array  #: (H, m, m), R + B'P_{t+1}B
+    K: Array  #: (H, m, n), feedback u_t = -K_t x_t
+    closed_loop: Array  #: (H, n, n), A - B K_t
+
+
+def riccati(task: ControlTask) -> Riccati:
+    """Solve the finite-horizon Riccati recursion.
+
+    P_H = Q_final, S_t = R + B'P_{t+1}B, K_t = S_t^{-1}B'P_{t+1}A, P_t = Q + A'P_{t+1}(A - B K_t).
+
+    Parameters
+    ----------
+    task : ControlTask
+        The task.
+
+    Returns
+    -------
+    Riccati
+        P (H+1, n, n), S (H, m, m), K (H, m, n) and closed_loop (H, n, n).
+
+    Raises
+    ------
+    ValueError
+        If the cost-to-go overflows: some growing mode is out of the control's reach.
+    """
+    A, B, _, Q, R = task.over_time()
+    H = task.horizon
+    P, S = Q.copy(), np.empty((H, task.m, task.m))
+    K, closed_loop = np.empty((H, task.m, task.n)), np.empty((H, task.n, task.n))
+    with np.errstate(over="ignore", invalid="ignore"):
+        for t in reversed(range(H)):
+            S[t] = R[t] + B[t].T @ P[t + 1] @ B[t]
+            if not np.isfinite(S[t]).all():
+                raise ValueError(
+                    f"task: the cost-to-go overflows at step {t} of {H}; a mode of A that the "
+                    "control cannot reach grows too fast: shorten the horizon or rescale"
+                )
+            K[t] = np.linalg.solve(S[t], B[t].T @ P[t + 1] @ A[t])
+            closed_loop[t] = A[t] - B[t] @ K[t]
+            P[t] = Q[t] + A[t].T @ P[t + 1] @ closed_loop[t]
+            P[t] = (P[t] + P[t].T) / 2
+    return Riccati(P, S, K, closed_loop)
+
+
+def _costate(task: ControlTask, law: Riccati, s: Array) -> Array:
+    """q_t = closed_loop_t'(P_{t+1}C s_t + q_{t+1}), q_H = 0: what the forecast s asks of u_{t-1}.
+
+    s is (..., H, p), q is (..., H+1, n); vectors are rows, so a matrix acts from the right.
+    """
+    C = task.over_time()[2]
+    q = np.zeros((*s.shape[:-2], task.horizon + 1, task.n))
+    for t in reversed(range(task.horizon)):
+        q[..., t, :] = (s[..., t, :] @ (law.P[t + 1] @ C[t]).T + q[..., t + 1, :]) @ (
+            law.closed_loop[t]
+        )
+    return q
+
+
+def plan(task: ControlTask, x0: npt.ArrayLike, s: npt.ArrayLike) -> Array:
+    """Plan all controls at t = 0 from a forecast: u = -K^{-1}(M'Q F x_0 + L s).
+
+    Computed without the stacked matrices of `psi`: while a forecast is right, planning once and
+    feeding back the state give the same controls, so we run the feedback law on the forecast.
+
+    Parameters
+    ----------
+    task : ControlTask
+        The task.
+    x0 : array_like, (n,)
+        Initial state.
+    s : array_like, (..., H, p)
+        Forecast of the perception input; leading axes are trials.
+
+    Returns
+    -------
+    ndarray, (..., H, m)
+        The controls.
+
+    Raises
+    ------
+    ValueError
+        A wrong shape or a number that is not finite.
+    """
+    return run_controller(task, x0, s, s, "preview")[1]
+
+
+def run_controller(
+    task: ControlTask,
+    x0: npt.ArrayLike,
+    s: npt.ArrayLike,
+    s_hat: npt.ArrayLike,
+    information: str = "open_loop",
+    prior_mean: npt.ArrayLike | None = None,
+) -> tuple[Array, Array]:
+    """Roll out the dynamics under true input `s` and a controller that is fed `s_hat`.
+
+    What the controller knows, and when, is its information pattern:
+
+    - ``open_loop``: u = plan(s_hat), all of it fixed at t = 0 (the authors' code);
+    - ``preview``: u_t = -K_t x_t - S_t^{-1}B'(P_{t+1}C s_hat_t + q_{t+1}(s_hat)), the true state
+      fed back and the rest of the forecast used (the paper's text);
+    - ``causal``: the same with q_{t+1}(prior_mean), as only s_hat_t is known at step t;
+    - ``measurement``: u_t = -K_t (x_t + C (s_hat_t - s_t)): the models measure the state.
+
+    Parameters
+    ----------
+    task : ControlTask
+        The task.
+    x0 : array_like, (n,)
+        Initial state.
+    s, s_hat : array_like, (..., H, p)
+        True and estimated perception inputs; leading axes are trials.
+    information : str
+        One of `INFORMATION`.
+    prior_mean : array_like, (H, p), optional
+        What ``causal`` expects of the inputs it has not seen; 0 by default.
+
+    Returns
+    -------
+    states : ndarray, (..., H+1, n)
+        x_0 first.
+    controls : ndarray, (..., H, m)
+
+    Raises
+    ------
+    ValueError
+        A wrong shape, a number that is not finite, an unknown pattern, or a prior mean given to
+        a pattern that does not use one.
+    """
+    check_information(information)
+    H, n, p = task.horizon, task.n, task.p
+    x = check_array("x0", x0, "n", (n,))
+    s = check_array("s", s, "... H p", (H, p))
+    s_hat = check_array("s_hat", s_hat, "... H p", s.shape[-2:])
+    if s.shape != s_hat.shape:
+        raise ValueError(f"s_hat: expected the shape of s, {s.shape}, found {s_hat.shape}")
+    if prior_mean is not None and information != "causal":
+        raise ValueError(f"prior_mean: used only by 'causal', found with {information!r}")
+    if information == "open_loop":
+        planned = plan(task, x, s_hat)
+        return _simulate(task, x, s, lambda t, _: planned[..., t, :])
+
+    _, B, C, _, _ = task.over_time()
+    law = riccati(task)
+    if information == "measurement":
+        e = s_hat - s
+        return _simulate(task, x, s, lambda t, x: -(x + e[..., t, :] @ C[t].T) @ law.K[t].T)
+    forecast = s_hat
+    if information == "causal":
+        prior_mean = np.zeros((H, p)) if prior_mean is None else prior_mean
+        forecast = check_array("prior_mean", prior_mean, "H p", (H, p))
+    q = _costate(task, law, forecast)
+    gain = np.linalg.solve(law.S, np.swapaxes(B, -1, -2))
+
+    def feedback(t: int, x: Array) -> Array:
+        push = s_hat[..., t, :] @ (law.P[t + 1] @ C[t]).T + q[..., t + 1, :]
+        return np.asarray(-x @ law.K[t].T - push @ gain[t].T)
+
+    return _simulate(task, x, s, feedback)
+
+
+def _simulate(
+    task: ControlTask, x0: Array, s: Array, policy: Callable[[int, Array], Array]
+) -> tuple[Array, Array]:
+    """Roll out x_{t+1} = A x_t + B u_t + C s_t with u_t = policy(t, x_t)."""
+    A, B, C, _, _ = task.over_time()
+    states = np.empty((*s.shape[:-2], task.horizon + 1, task.n))
+    controls = np.empty((*s.shape[:-2], task.horizon, task.m))
+    states[..., 0, :] = x0
+    for t in range(task.horizon):
+        x, u = states[..., t, :], policy(t, states[..., t, :])
+        controls[..., t, :] = u
+        states[..., t + 1, :] = x @ A[t].T + u @ B[t].T + s[..., t, :] @ C[t].T
+    return states, controls
+
+
+def control_cost(task: ControlTask, states: npt.ArrayLike, controls: npt.ArrayLike) -> Any:
+    """Cost of a roll-out: sum_{t=1}^{H} x_t'Q_t x_t + sum_{t=0}^{H-1} u_t'R_t u_t (``eq:jc``).
+
+    Parameters
+    ----------
+    task : ControlTask
+        The task.
+    states : array_like, (..., H+1, n)
+        x_0 first; it is not charged.
+    controls : array_like, (..., H, m)
+        The controls.
+
+    Returns
+    -------
+    float, or ndarray of the leading axes
+        The control cost J.
+
+    Raises
+    ------
+    ValueError
+        A wrong shape or a number that is not finite.
+    """
+    H = task.horizon
+    x = check_array("states", states, "... H+1 n", (H + 1, task.n))[..., 1:, :]
+    u = check_array("controls", controls, "... H m", (H, task.m))
+    _, _, _, Q, R = task.over_time()
+    return np.einsum("...ti,tij,...tj->...", x, Q[1:], x) + np.einsum(
+        "...ti,tij,...tj->...", u, R, u
+    )
+
+
+# -------------------------------------------------------------------- Psi, the sensitivity
+
+
+def psi(task: ControlTask, information: str = "open_loop") -> Array:
+    """Sensitivity of the control cost to perception errors (``eq:control_cost_diff``).
+
+    J(controller fed s + e) - J(controller fed s) = e' Psi e, with Psi = L'K^{-1}L, free of x_0:
+    for every realisation under ``open_loop`` and ``preview``; under ``causal`` and
+    ``measurement`` in expectation over inputs that are independent of e, with the controller's
+    prior mean (``measurement``: zero) as their mean.  The patterns are those of `run_controller`.
+
+    Parameters
+    ----------
+    task : ControlTask
+        The task.
+    information : str
+        One of `INFORMATION`.
+
+    Returns
+    -------
+    ndarray, (pH, pH)
+        Symmetric positive semidefinite, in cost per squared unit of perception.
+        Block diagonal under ``causal`` and ``measurement``.
+
+    Raises
+    ------
+    ValueError
+        An unknown pattern, or dynamics so unstable that Psi is out of reach of double precision.
+    """
+    check_information(information)
+    if information in ("causal", "measurement"):
+        return np.asarray(la.block_diag(*_diagonal_blocks(task, information)))
+    Y = _open_loop_factor(task) if information == "open_loop" else _preview_factor(task)
+    Psi = Y.T @ Y
+    return np.asarray((Psi + Psi.T) / 2)
+
+
+def _open_loop_factor(task: ControlTask) -> Array:
+    """Y with Psi = Y'Y = L'K^{-1}L, K = blkdiag(R) + M'QM, L = M'QN on stacked states.
+
+    The stacked states are X = F x_0 + M u + N s; row block t of M and N is A times the row block
+    before it, plus B or C at place t.  With the Cholesky factor K = GG', Y = G^{-1}L.
+    """
+    A, B, C, Q, R = task.over_time()
+    H, n, m, p = task.horizon, task.n, task.m, task.p
+    M, N = np.zeros((H, n, H, m)), np.zeros((H, n, H, p))
+    with np.errstate(over="ignore", invalid="ignore"):
+        for t in range(H):
+            if t > 0:
+                M[t], N[t] = (np.tensordot(A[t], Z[t - 1], axes=1) for Z in (M, N))
+            M[t, :, t], N[t, :, t] = B[t], C[t]
+        QM = np.matmul(Q[1:], M.reshape(H, n, H * m)).reshape(H * n, H * m)
+        K = la.block_diag(*R) + QM.T @ M.reshape(H * n, H * m)
+        L = QM.T @ N.reshape(H * n, H * p)
+    try:
+        G = la.cholesky((K + K.T) / 2, lower=True)
+        Y: Array = la.solve_triangular(G, L, lower=True)
+    except (la.LinAlgError, ValueError):
+        raise ValueError(
+            "task: planning open loop over this horizon is out of reach of double precision, as "
+            "A is too unstable; use information='preview' or a shorter horizon"
+        ) from None
+    return Y
+
+
+def _preview_factor(task: ControlTask) -> Array:
+    """Y with Psi = Y'Y: row block t is G_t^{-1}B'h_t, S_t = G_t G_t', as a linear map of e.
+
+    h_t = P_{t+1}C e_t + closed_loop_{t+1}'h_{t+1}: the recursion of `preview_regret`, carried
+    out on all of e at once, so block upper triangular.
+    """
+    _, B, C, _, _ = task.over_time()
+    H, n, m, p = task.horizon, task.n, task.m, task.p
+    law = riccati(task)
+    Y, g = np.zeros((H, m, H * p)), np.zeros((n, H * p))
+    for t in reversed(range(H)):
+        h = g
+        h[:, t * p : (t + 1) * p] = law.P[t + 1] @ C[t]
+        Y[t] = la.solve_triangular(la.cholesky(law.S[t], lower=True), B[t].T @ h, lower=True)
+        g = law.closed_loop[t].T @ h
+    return Y.reshape(H * m, H * p)
+
+
+def _diagonal_blocks(task: ControlTask, information: str) -> Array:
+    """Psi_tt = (K_t C)'S_t(K_t C) for ``measurement``, C'P B S_t^{-1}B'P C for ``causal``."""
+    _, B, C, _, _ = task.over_time()
+    law = riccati(task)
+    if information == "measurement":
+        pull = law.K @ C
+    else:
+        pull = np.linalg.solve(law.S, np.swapaxes(B, -1, -2) @ law.P[1:] @ C)
+    blocks = np.swapaxes(pull, -1, -2) @ law.S @ pull
+    return np.asarray((blocks + np.swapaxes(blocks, -1, -2)) / 2)
+
+
+def preview_regret(task: ControlTask, errors: npt.ArrayLike) -> Any:
+    """e' Psi e of the ``preview`` pattern in O(H n^2), without forming Psi.
+
+    h_t = P_{t+1}C e_t + g_{t+1}, g_t = closed_loop_t'h_t, regret = sum_t (B'h_t)'S_t^{-1}(B'h_t).
+
+    Parameters
+    ----------
+    task : ControlTask
+        The task.
+    errors : array_like, (..., H, p)
+        Perception errors s_hat - s; leading axes are trials.
+
+    Returns
+    -------
+    float, or ndarray of the leading axes
+        Extra control cost caused by the errors.
+
+    Raises
+    ------
+    ValueError
+        A wrong shape or a number that is not finite.
+    """
+    e = check_array("errors", errors, "... H p", (task.horizon, task.p))
+    _, B, C, _, _ = task.over_time()
+    law = riccati(task)
+    q = _costate(task, law, e)
+    regret = np.zeros(e.shape[:-2])
+    for t in range(task.horizon):
+        push = (e[..., t, :] @ (law.P[t + 1] @ C[t]).T + q[..., t + 1, :]) @ B[t]
+        regret += np.einsum("...i,ij,...j->...", push, np.linalg.inv(law.S[t]), push)
+    return regret[()]
+
+
+# -------------------------------------------------------------------- the selection problem
+
+
+def one_hot(choices: npt.ArrayLike, models: int) -> Array:
+    """Encode c as b: b[t, w] = 1 exactly where w = w_t (``eq:perEncoding``).
+
+    Parameters
+    ----------
+    choices : array_like of int, (H,)
+        Model of every step.
+    models : int
+        Number of models W.
+
+    Returns
+    -------
+    ndarray, (H, W)
+        Zeros and ones.
+
+    Raises
+    ------
+    ValueError
+        A choice that is not an integer in 0..W-1.
+    """
+    W = check_count("models", models)
+    c = _check_choices(choices, np.shape(choices)[-1] if np.ndim(choices) else 0, W)
+    return np.asarray(np.eye(W)[c])
+
+
+def from_one_hot(weights: npt.ArrayLike) -> Choices:
+    """Decode b into c, the inverse of `one_hot`.
+
+    Parameters
+    ----------
+    weights : array_like, (H, W)
+        Zeros and ones, a single one in every row.
+
+    Returns
+    -------
+    ndarray of int, (H,)
+
+    Raises
+    ------
+    ValueError
+        Entries other than 0 and 1, or a row that does not hold exactly one 1.
+    """
+    b = check_array("weights", weights, "H W", (None, None))
+    if not (np.isin(b, (0, 1)).all() and (b.sum(axis=1) == 1).all()):
+        raise ValueError("weights: expected a single 1 and otherwise 0 in every row")
+    return np.asarray(b.argmax(axis=1))
+
+
+def _check_choices(choices: npt.ArrayLike, H: int, W: int) -> Choices:
+    """Return choices (..., H) as integers, or raise ValueError."""
+    c = check_array("choices", choices, "... H", (H,))
+    if np.any((c != np.floor(c)) | (c < 0) | (c >= W)):
+        raise ValueError(f"choices: expected integers from 0 to {W - 1}, found others")
+    return c.astype(np.intp)
+
+
+@dataclass(frozen=True, eq=False)
+class SelectionProblem:
+    """Which model to run at each step (``prob:model_selection_expectation``).
+
+    E[total](c) = alpha (mu_c' Psi mu_c + sum_t trace(Psi_tt Sigma[t, w_t]))
+                + beta sum_t kappa[t, w_t],
+    without the constant alpha J(u*).  Errors must be independent across steps; zero variance
+    states known errors (``prob:model_selection``).
+
+    Parameters
+    ----------
+    psi : array_like, (pH, pH)
+        Sensitivity of the control cost, symmetric positive semidefinite; see `psi`.
+    mean : array_like, (H, W, p)
+        Mean error of each model at each step.
+    variance : array_like, (H, W, p) or (H, W, p, p)
+        Variance of each component, then uncorrelated, or covariance within a step.
+    model_cost : array_like, (W,) or (H, W)
+        Cost of running a model; ``inf`` where a model is not available.
+    alpha, beta : float
+        Weights >= 0 of control and perception cost (``eq:jtot``).
+
+    Raises
+    ------
+    ValueError
+        A wrong shape, a NaN, a negative variance or weight, an indefinite `psi`, or a step at
+        which no model is available.
+    """
+
+    psi: Array
+    mean: Array
+    variance: Array
+    model_cost: Array
+    alpha: float = 1.0
+    beta: float = 1.0
+
+    def __post_init__(self) -> None:
+        Psi = check_array("psi", self.psi, "pH pH", np.shape(self.psi)[-1:] * 2)
+        shape = np.shape(self.mean)
+        p = shape[-1] if len(shape) == 3 and shape[-1] and len(Psi) % shape[-1] == 0 else 1
+        mean = check_array("mean", self.mean, "H W p", (len(Psi) // p, None, p))
+        H, W, _ = mean.shape
+        axes = "H W p p" if np.ndim(self.variance) == 4 else "H W p"
+        variance = check_array("variance", self.variance, axes, (H, W, p, p)[: len(axes.split())])
+        axes = "H W" if np.ndim(self.model_cost) == 2 else "W"
+        cost = check_array(
+            "model_cost", self.model_cost, axes, (H, W)[-len(axes.split()) :], finite=False
+        )
+        if np.isneginf(cost).any() or np.isinf(cost).all(axis=-1).any():
+            raise ValueError("model_cost: expected a finite cost at every step, found none or -inf")
+        check_semidefinite("psi", Psi)
+        if variance.ndim == 4:
+            check_semidefinite("variance", variance)
+        elif variance.min() < 0:
+            raise ValueError(f"variance: expected numbers >= 0, found {variance.min():g}")
+        checked = {"psi": Psi, "mean": mean, "variance": variance, "model_cost": cost}
+        weights = {
+            name: check_number(name, getattr(self, name), minimum=0) for name in ("alpha", "beta")
+        }
+        for name, value in {**checked, **weights}.items():
+            object.__setattr__(self, name, value)
+
+    @cached_property
+    def quadratic(self) -> Array:
+        """alpha Psi, (pH, pH)."""
+        return self.alpha * self.psi
+
+    @cached_property
+    def blocks(self) -> Array:
+        """Diagonal blocks Psi_tt, (H, p, p)."""
+        H, _, p = self.mean.shape
+        return self.psi.reshape(H, p, H, p)[np.arange(H), :, np.arange(H)]
+
+    @cached_property
+    def spread(self) -> Array:
+        """What the variances add to the control term, trace(Psi_tt Sigma[t,w]), (H, W)."""
+        over = "tij,twji->tw" if self.variance.ndim == 4 else "tii,twi->tw"
+        return np.asarray(np.einsum(over, self.blocks, self.variance))
+
+    @cached_property
+    def linear(self) -> Array:
+        """Linear cost l[t,w] = alpha trace(Psi_tt Sigma[t,w]) + beta kappa[t,w], (H, W)."""
+        unavailable = np.isinf(self.model_cost)  # also where beta = 0
+        priced = self.beta * np.where(unavailable, 0, self.model_cost)
+        return self.alpha * self.spread + np.where(unavailable, np.inf, priced)
+
+    def chosen_mean(self, choices: npt.ArrayLike) -> Array:
+        """Stack the mean errors mu_c of schedules (..., H) into vectors (..., pH)."""
+        c = self._check(choices)
+        return self.mean[np.arange(c.shape[-1]), c].reshape(*c.shape[:-1], -1)
+
+    def control_term(self, choices: npt.ArrayLike) -> Any:
+        """Return mu_c' Psi mu_c + sum_t trace(Psi_tt Sigma[t, w_t]) of schedules (..., H)."""
+        mu = self.chosen_mean(choices)
+        return ((mu @ self.psi) * mu).sum(axis=-1) + self._total(self.spread, choices)
+
+    def perception_term(self, choices: npt.ArrayLike) -> Any:
+        """Return sum_t kappa[t, w_t] of schedules (..., H) (``eq:jp``)."""
+        return self._total(np.broadcast_to(self.model_cost, self.mean.shape[:2]), choices)
+
+    def total_cost(self, choices: npt.ArrayLike) -> Any:
+        """Return alpha control_term + beta perception_term of schedules (..., H)."""
+        mu = self.chosen_mean(choices)
+        return ((mu @ self.quadratic) * mu).sum(axis=-1) + self._total(self.linear, choices)
+
+    def _total(self, table: Array, choices: npt.ArrayLike) -> Any:
+        c = self._check(choices)
+        return table[np.arange(c.shape[-1]), c].sum(axis=-1)
+
+    def _check(self, choices: npt.ArrayLike) -> Choices:
+        return _check_choices(choices, *self.mean.shape[:2])
+
+
+# --------------------------------------------------------------- schedules and certificates
+
+
+@dataclass(frozen=True, eq=False)
+class Schedule:
+    """A schedule with its proof: every solver returns one.
+
+    Parameters
+    ----------
+    choices : ndarray of int, (H,)
+        Model of every step.
+    cost : float
+        `SelectionProblem.total_cost` of the choices.
+    lower_bound : float
+        No schedule costs less.  Where it exceeds `root_bound`, the search has proved it.
+    root_bound : float
+        LB(reference), which `check_certificate` derives anew.
+    reference : ndarray, (pH,)
+        The point d of the certificate: any d gives a bound, a good d a tight one.
+    solver : str
+        Name of the function that found the schedule.
+    work : mapping
+        What the search did: counts, seconds, and the tree of `branch_and_bound`.
+    """
+
+    choices: Choices
+    cost: float
+    lower_bound: float
+    root_bound: float
+    reference: Array
+    solver: str
+    work: Mapping[str, Any] = field(default_factory=dict, repr=False)
+
+    @property
+    def gap(self) -> float:
+        """(cost - lower_bound) / max(|cost|, |lower_bound|), or 0 where the two are equal."""
+        if self.cost == self.lower_bound:
+            return 0.0
+        return (self.cost - self.lower_bound) / max(abs(self.cost), abs(self.lower_bound))
+
+    @property
+    def is_optimal(self) -> bool:
+        """Whether the gap is at most `OPTIMALITY_GAP`, so that nothing better is left."""
+        return self.gap <= OPTIMALITY_GAP
+
+
+def reference_bound(problem: SelectionProblem, reference: npt.ArrayLike) -> tuple[float, Array]:
+    """Bound every schedule from below, from one point d.
+
+    With G[t,w] = 2 mu[t,w]'(alpha Psi d)_t + l[t,w], LB(d) = sum_t min_w G[t,w] - d'(alpha Psi)d
+    and r[t,w] = G[t,w] - min_w G[t,w] >= 0, every schedule satisfies
+
+        total(c) = LB(d) + sum_t r[t, w_t] + (mu_c - d)'(alpha Psi)(mu_c - d),
+
+    because x'Mx = 2 x'Md - d'Md + (x - d)'M(x - d).  Nothing after LB(d) is negative.
+
+    Parameters
+    ----------
+    problem : SelectionProblem
+        The problem.
+    reference : array_like, (pH,)
+        The point d, in units of perception.
+
+    Returns
+    -------
+    bound : float
+        LB(d).
+    reduced_cost : ndarray, (H, W)
+        r[t, w]: what using model w at step t adds at the least.
+
+    Raises
+    ------
+    ValueError
+        A wrong shape or a number that is not finite.
+    """
+    H, _, p = problem.mean.shape
+    d = check_array("reference", reference, "pH", (p * H,))
+    pull = problem.quadratic @ d
+    G = 2 * np.einsum("twi,ti->tw", problem.mean, pull.reshape(H, p)) + problem.linear
+    lowest = G.min(axis=1)
+    return float(lowest.sum() - d @ pull), G - lowest[:, None]
+
+
+def check_certificate(problem: SelectionProblem, schedule: Schedule) -> float:
+    """Derive a schedule's root bound and its cost anew, trusting no solver.
+
+    Parameters
+    ----------
+    problem : SelectionProblem
+        The problem.
+    schedule : Schedule
+        What a solver returned for it.
+
+    Returns
+    -------
+    float
+        LB(reference), a lower bound on every schedule.  A `lower_bound` above it was proved by
+        the solver's search and is not re-derived here.
+
+    Raises
+    ------
+    ValueError
+        If the schedule does not state this bound and its own cost (up to rounding).
+    """
+    bound, reduced = reference_bound(problem, schedule.reference)
+    cost = float(problem.total_cost(schedule.choices))
+    # total(c) - LB(d) is a sum of non-negative terms; its size is what rounding is relative to.
+    scale = max(abs(cost), abs(bound), float(reduced[np.isfinite(reduced)].sum()))
+    for name, stated, found in (
+        ("cost", schedule.cost, cost),
+        ("root_bound", schedule.root_bound, bound),
+    ):
+        if not abs(stated - found) <= 1e-9 * scale:
+            raise ValueError(f"schedule.{name}: expected {found!r}, found {stated!r}")
+    return bound
+
+
+# ----------------------------------------------------------------------- solvers: enumeration
+
+
+def _certified(
+    problem: SelectionProblem,
+    choices: npt.ArrayLike,
+    reference: Array,
+    solver: str,
+    proved: float = -math.inf,
+    **work: Any,
+) -> Schedule:
+    """Make a Schedule: the root bound from the reference, the better of it and `proved`."""
+    c = np.array(choices, dtype=np.intp)
+    c.flags.writeable = False
+    cost, root = float(problem.total_cost(c)), reference_bound(problem, reference)[0]
+    return Schedule(c, cost, min(cost, max(root, proved)), root, reference, solver, work)
+
+
+def enumerate_schedules(problem: SelectionProblem, *, max_schedules: int = 2**22) -> Schedule:
+    """Try every schedule: the definition of ``sol:model_selection_expectation``, as code.
+
+    Parameters
+    ----------
+    problem : SelectionProblem
+        The problem.
+    max_schedules : int
+        Refuse to try more than this many of the W^H schedules.
+
+    Returns
+    -------
+    Schedule
+        The first of the cheapest schedules in lexicographic order, with its own mean error as
+        reference; proved by exhaustion.
+
+    Raises
+    ------
+    ValueError
+        If there are more than `max_schedules`.
+    """
+    H, W, _ = problem.mean.shape
+    if W**H > max_schedules:
+        raise ValueError(f"problem: expected at most {max_schedules} schedules, found {W}^{H}")
+    best, lowest = np.zeros(H, dtype=np.intp), math.inf
+    for first in range(0, W**H, 2**14):
+        number = np.arange(first, min(first + 2**14, W**H))
+        block = number[:, None] // W ** np.arange(H)[::-1] % W  # the digits of 0..W^H-1 in base W
+        costs = problem.total_cost(block)
+        if costs.min() < lowest:
+            best, lowest = block[costs.argmin()], costs.min()
+    return _certified(
+        problem, best, problem.chosen_mean(best), "enumerate_schedules", lowest, schedules=W**H
+    )
+
+
+def solve_separable(problem: SelectionProblem) -> Schedule:
+    """Solve a problem without coupling exactly, by one minimum per step, in O(H W).
+
+    Steps decouple where Psi is block diagonal (``causal``, ``measurement``), where all mean
+    errors are zero, and where alpha = 0.  Otherwise this is the greedy policy's mistake.
+
+    Parameters
+    ----------
+    problem : SelectionProblem
+        The problem.
+
+    Returns
+    -------
+    Schedule
+        The optimum.
+
+    Raises
+    ------
+    ValueError
+        If the steps are coupled.
+    """
+    if not is_separable(problem):
+        raise ValueError("problem: expected uncoupled steps, found a mean error that Psi couples")
+    choices = stepwise_cost(problem).argmin(axis=1)
+    cost = float(problem.total_cost(choices))
+    return _certified(problem, choices, problem.chosen_mean(choices), "solve_separable", cost)
+
+
+def is_separable(problem: SelectionProblem) -> bool:
+    """Whether no mean error at one step meets one at another step through Psi."""
+    H, _, p = problem.mean.shape
+    felt = problem.alpha * np.abs(problem.mean).max(axis=1).ravel()
+    coupling = (np.abs(problem.psi) * felt[:, None] * felt).reshape(H, p, H, p).sum(axis=(1, 3))
+    return bool(np.count_nonzero(coupling) == np.count_nonzero(coupling.diagonal()))
+
+
+def stepwise_cost(problem: SelectionProblem) -> Array:
+    """Cost (H, W) of each model at each step alone: alpha mu'Psi_tt mu + l, coupling ignored."""
+    own = np.einsum("twi,tij,twj->tw", problem.mean, problem.blocks, problem.mean)
+    return np.asarray(problem.alpha * own + problem.linear)
+
+
+# ------------------------------------------------------------------- solvers: the relaxation
+
+
+class Relaxation(NamedTuple):
+    """A point of the convex relaxation (see `relax`)."""
+
+    weights: Array  #: (H, W), each row on the simplex
+    reference: Array  #: (pH,), the mean error d_t = sum_w b[t,w] mu[t,w]
+    value: float  #: objective at `weights`
+    bound: float  #: LB(reference), a lower bound on every schedule
+    iterations: int  #: iterations of the method
+
+    @property
+    def gap(self) -> float:
+        """(value - bound) / max(|value|, |bound|), or 0 where the two are equal."""
+        if self.value <= self.bound:
+            return 0.0
+        return (self.value - self.bound) / max(abs(self.value), abs(self.bound))
+
+
+def _relaxed(
+    problem: SelectionProblem, linear: Array, b: Array, iteration: int
+) -> tuple[Relaxation, Array]:
+    """Evaluate f(b) = d'(alpha Psi)d + l.b, its bound, and its gradient G = 2 mu'(alpha Psi d) + l.
+
+    l and G are infinite where a model may not be used.  f(b) - LB(d) = G.b - sum_t min_w G[t,w].
+    """
+    H, _, p = problem.mean.shape
+    d = np.einsum("tw,twi->ti", b, problem.mean).ravel()
+    pull = problem.quadratic @ d
+    G = 2 * np.einsum("twi,ti->tw", problem.mean, pull.reshape(H, p)) + linear
+    lowest, quadratic = G.min(axis=1), d @ pull
+    value = quadratic + np.where(b > 0, linear, 0).ravel() @ b.ravel()
+    return Relaxation(b, d, float(value), float(lowest.sum() - quadratic), iteration), G
+
+
+def _block_root(S: Array) -> Array:
+    """F_t (p, p) with S_t = F_t F_t', for positive semidefinite S (H, p, p)."""
+    eigenvalues, V = np.linalg.eigh(S)
+    return np.asarray(V * np.sqrt(np.maximum(eigenvalues, 0))[:, None, :])
+
+
+def _congruence(F: Array, M: Array) -> Array:
+    """F'MF for symmetric M (pk, pk) and block-diagonal F, given by its blocks (k, p, p)."""
+    k, p, _ = F.shape
+
+    def halfway(X: Array) -> Array:
+        return np.asarray(np.einsum("tji,tjn->tin", F, X.reshape(k, p, -1)).reshape(k * p, -1))
+
+    return halfway(halfway(M).T)
+
+
+def project_to_simplex(points: Array) -> Array:
+    """Project each row to the nearest point with non-negative entries that sum to one.
+
+    The nearest point is max(v - h, 0); the threshold h is found by trying, from the largest
+    entry down, how many entries stay positive.
+
+    Parameters
+    ----------
+    points : ndarray, (..., W)
+        Finite numbers.
+
+    Returns
+    -------
+    ndarray, (..., W)
+        Points of the simplex.
+    """
+    v = -np.sort(-points, axis=-1)
+    thresholds = (np.cumsum(v, axis=-1) - 1) / np.arange(1, v.shape[-1] + 1)
+    positive = np.count_nonzero(v > thresholds, axis=-1, keepdims=True)
+    return np.maximum(points - np.take_along_axis(thresholds, positive - 1, axis=-1), 0)
+
+
+def relax(
+    problem: SelectionProblem, *, gap: float = 1e-6, max_iterations: int = 20_000
+) -> Relaxation:
+    """Relax each choice to weights on the simplex; solve by accelerated projected gradient.
+
+    min over b of d'(alpha Psi)d + sum l.b with d_t = sum_w b[t,w] mu[t,w] (``eq:perEncoding``
+    with 0 <= b <= 1): convex, and at any iterate LB(d) bounds every schedule from below.
+
+    Step t moves by its own 1/L_t, which tames a Psi of many magnitudes: with centred means D_t
+    (on the simplex only differences between models matter), L_t = 2 L trace(D_t'M_tt D_t) and L
+    the largest eigenvalue of the Hessian so scaled.  Momentum follows Nesterov and is dropped
+    whenever it points uphill.
+
+    Parameters
+    ----------
+    problem : SelectionProblem
+        The problem.
+    gap : float
+        Stop when value and bound agree to this fraction.
+    max_iterations : int
+        Stop after this many iterations in any case.
+
+    Returns
+    -------
+    Relaxation
+        The last iterate.
+
+    Raises
+    ------
+    ValueError
+        A `gap` or `max_iterations` out of range.
+    """
+    gap = check_number("gap", gap, minimum=0)
+    max_iterations = check_count("max_iterations", max_iterations)
+    H, _, p = problem.mean.shape
+    allowed = np.isfinite(problem.linear)
+    D = (problem.mean - problem.mean.mean(axis=1, keepdims=True)) * allowed[..., None]
+    F = _block_root(np.einsum("twi,twj->tij", D, D))
+    M = _congruence(F, problem.quadratic)
+    size = M.diagonal().reshape(H, p).sum(axis=1)
+    slope = np.ptp(
+        np.where(allowed, problem.linear, problem.linear.min(axis=1, keepdims=True)), axis=1
+    )
+    size = np.where(size > 0, size, np.where(slope > 0, slope, 1))  # a step that is only linear
+    scale = np.repeat(size, p) ** -0.5
+    largest = max(1, la.eigvalsh(scale[:, None] * M * scale)[-1])
+    step = 1 / (2 * largest * size)[:, None]
+
+    b = allowed / allowed.sum(axis=1, keepdims=True)
+    point, G = _relaxed(problem, problem.linear, b, 0)
+    older, older_G, momentum = b, G, 1.0
+    for iteration in range(1, max_iterations + 1):
+        if point.gap <= gap:
+            break
+        faster = (1 + math.sqrt(1 + 4 * momentum**2)) / 2
+        carry = (momentum - 1) / faster
+        with np.errstate(invalid="ignore"):
+            target = b + carry * (b - older) - step * (G + carry * (G - older_G))
+        shunned = np.where(allowed, target, np.inf).min(axis=1, keepdims=True) - 2
+        new = project_to_simplex(np.where(allowed, target, shunned))
+        uphill = ((b + carry * (b - older) - new) / step * (new - b)).sum() > 0
+        older, older_G, b, momentum = b, G, new, 1.0 if uphill else faster
+        point, G = _relaxed(problem, problem.linear, b, iteration)
+    return point
+
+
+def relax_interior_point(
+    problem: SelectionProblem,
+    *,
+    allowed: npt.NDArray[np.bool_] | None = None,
+    gap: float = 1e-7,
+    ceiling: float = math.inf,
+    max_iterations: int = 60,
+) -> Relaxation:
+    """Solve the relaxation of `relax` by Newton's method: about ten steps, however stiff Psi.
+
+    A primal-dual interior-point method with Mehrotra's predictor and corrector.  Optimal weights
+    b and slacks z = G(b) - y satisfy b z = 0, b, z >= 0, sum_w b = 1.  Start inside and follow
+    b z = tau to tau = 0.  Eliminating db and dy from Newton's equations
+
+        z db + b dz = tau - b z,   dz = 2 mu'v - dy,   v = M dd,   dd = sum_w mu db,   sum_w db = 0
+
+    leaves dd = a - 2 S v with S_t = F_t F_t' the covariance of mu[t] under weights b/z, hence one
+    positive definite system (I + 2 F'MF) x = F'M a and v = M(a - 2 F x): size pH, not HW.
+
+    Parameters
+    ----------
+    problem : SelectionProblem
+        The problem; M = alpha Psi.
+    allowed : ndarray of bool, (H, W), optional
+        Models that may be used, at least one a step; those of finite cost by default.
+    gap : float
+        Stop when value and bound agree to this fraction.
+    ceiling : float
+        Stop as soon as the bound exceeds this (used by `branch_and_bound`).
+    max_iterations : int
+        Stop after this many iterations in any case.
+
+    Returns
+    -------
+    Relaxation
+        The iterate of the best bound, over schedules of allowed models.
+    """
+    p = problem.mean.shape[2]
+    usable = np.isfinite(problem.linear) if allowed is None else allowed
+    linear = np.where(usable, problem.linear, np.inf)
+    free = np.flatnonzero(usable.sum(axis=1) > 1)
+    index = (free[:, None] * p + np.arange(p)).ravel()
+    mu, inside = problem.mean[free], usable[free]
+    M = problem.quadratic[np.ix_(index, index)]
+
+    weights = usable / usable.sum(axis=1, keepdims=True)
+    best, G = point, _ = _relaxed(problem, linear, weights, 0)
+    negligible, tau = _rounding(problem, best.reference), math.inf
+    lowest = G[free].min(axis=1)
+    y = lowest - np.where(inside, G[free] - lowest[:, None], 0).sum() / max(len(free), 1)
+    for iteration in range(1, max_iterations + 1):
+        within = max(gap * max(abs(point.value), abs(point.bound)), negligible)
+        if not free.size or point.value - point.bound <= within or best.bound > ceiling:
+            break
+        b, z = weights[free], np.where(inside, G[free] - y[:, None], 1)
+        tau, previous = float((b * z)[inside].mean()), tau
+        if not tau < previous:
+            break  # rounding has the upper hand; the best bound so far stands
+        db, dy = _newton_step(M, mu, inside, b, z)
+        weights = weights.copy()
+        weights[free] = np.maximum(b + db, 0)
+        weights[free] /= weights[free].sum(axis=1, keepdims=True)
+        point, G = _relaxed(problem, linear, weights, iteration)
+        y = np.minimum(y + dy, G[free].min(axis=1) - 1e-3 * tau)  # rounding must not close z
+        best = point if point.bound > best.bound else best
+    return best
+
+
+def _newton_step(
+    M: Array, mu: Array, inside: npt.NDArray[np.bool_], b: Array, z: Array
+) -> tuple[Array, Array]:
+    """Predictor and corrector of `relax_interior_point`, cut so that b and z stay positive."""
+    k, _, p = mu.shape
+    w = b / z
+    total = w.sum(axis=1)
+    D = mu - (np.einsum("tw,twi->ti", w, mu) / total[:, None])[:, None]
+    F = _block_root(np.einsum("twi,twj->tij", w[..., None] * D, D))
+    system = la.cho_factor(np.eye(k * p) + 2 * _congruence(F, M))
+
+    def direction(r: Array) -> tuple[Array, Array, Array]:
+        rate = np.where(inside, r / z, 0)
+        a = np.einsum("tw,twi->ti", rate - w * (rate.sum(axis=1) / total)[:, None], mu)
+        x = la.cho_solve(system, np.einsum("tij,ti->tj", F, (M @ a.ravel()).reshape(k, p)).ravel())
+        v = M @ (a - 2 * np.einsum("tij,tj->ti", F, x.reshape(k, p))).ravel()
+        pull = 2 * np.einsum("twi,ti->tw", mu, v.reshape(k, p))
+        dy = ((w * pull).sum(axis=1) - rate.sum(axis=1)) / total
+        dz = pull - dy[:, None]
+        return rate - w * dz, dz, dy
+
+    def longest(db: Array, dz: Array) -> float:
+        shrink = np.maximum(
+            np.where(inside, -db, 0) / np.where(b > 0, b, 1), np.where(inside, -dz, 0) / z
+        )
+        return min(1.0, 0.995 / max(float(shrink.max()), 1e-300))
+
+    tau = (b * z)[inside].mean()
+    db, dz, _ = direction(-b * z)
+    step = longest(db, dz)
+    left = ((b + step * db) * (z + step * dz))[inside].mean()
+    db, dz, dy = direction((left / tau) ** 3 * tau - b * z - db * dz)
+    step = longest(db, dz)
+    return step * db, step * dy
+
+
+# -------------------------------------------------------------------- solvers: local search
+
+
+def round_and_swap(problem: SelectionProblem, relaxation: Relaxation | None = None) -> Schedule:
+    """Round the relaxation to a schedule, then swap single models for as long as that helps.
+
+    Swapping w_t for w moves step t by D = mu[t,w] - mu[t,w_t] and the cost by
+    2 D'(alpha Psi mu_c)_t + D'(alpha Psi_tt)D + l[t,w] - l[t,w_t]; the best swap is taken.
+
+    Parameters
+    ----------
+    problem : SelectionProblem
+        The problem.
+    relaxation : Relaxation, optional
+        Where to start; `relax_interior_point` by default.
+
+    Returns
+    -------
+    Schedule
+        A schedule that no single swap improves, with the relaxation's bound.
+    """
+    start = relax_interior_point(problem) if relaxation is None else relaxation
+    choices, swaps = _swap(problem, start.weights.argmax(axis=1))
+    return _certified(problem, choices, start.reference, "round_and_swap", swaps=swaps)
+
+
+def _swap(problem: SelectionProblem, choices: Choices) -> tuple[Choices, int]:
+    """Take the best single swap until none lowers the cost; return the choices and a count."""
+    H, _, p = problem.mean.shape
+    M, blocks, steps = problem.quadratic, problem.alpha * problem.blocks, np.arange(H)
+    c, cost, swaps = choices, problem.total_cost(choices), 0
+    pull = (M @ problem.chosen_mean(c)).reshape(H, p)
+    while True:
+        D = problem.mean - problem.mean[steps, c][:, None]
+        change = 2 * np.einsum("twi,ti->tw", D, pull) + np.einsum("twi,tij,twj->tw", D, blocks, D)
+        change += problem.linear - problem.linear[steps, c][:, None]
+        t, w = np.unravel_index(change.argmin(), change.shape)
+        better = c.copy()
+        better[t] = w
+        lower = problem.total_cost(better)
+        if not lower < cost:
+            return c, swaps
+        pull += (M[:, t * p : (t + 1) * p] @ D[t, w]).reshape(H, p)
+        c, cost, swaps = better, lower, swaps + 1
+
+
+# ----------------------------------------------------- solvers: dynamic programming on labels
+
+
+class _Triangle(NamedTuple):
+    """The certificate of a reference point, with its quadratic written as a sum over steps.
+
+    total(c) = bound + sum_t reduced[t, w_t] + sum_t |U_tt e_t + (later steps' share)|^2, where
+    e = mu_c - d and U is upper triangular: read from the last step to the first, every term is
+    known as soon as w_t is.
+    """
+
+    bound: float
+    reduced: Array  #: (H, W), non-negative
+    deviation: Array  #: (H, W, p), mu[t, w] - d_t
+    U: Array  #: (pH, pH), upper triangular
+
+
+def _triangle(problem: SelectionProblem, reference: Array) -> _Triangle:
+    """Factor alpha Psi + shift = U'U and take the shift out of the reduced costs again.
+
+    A diagonal shift s adds sum_r s_r e_r^2, which depends on one step's model only, so it can
+    be subtracted there: the identity stays exact, and a singular Psi has a Cholesky factor.
+    """
+    H, _, p = problem.mean.shape
+    bound, reduced = reference_bound(problem, reference)
+    deviation = problem.mean - reference.reshape(H, 1, p)
+    diagonal = problem.quadratic.diagonal()
+    shift = SHIFT * np.where(diagonal > 0, diagonal, diagonal.max() or 1)
+    reduced = reduced - np.einsum("twi,ti->tw", deviation**2, shift.reshape(H, p))
+    lowest = reduced.min(axis=1)
+    U = la.cholesky(problem.quadratic + np.diag(shift))
+    return _Triangle(bound + lowest.sum(), reduced - lowest[:, None], deviation, U)
+
+
+def plain_dynamic_program(problem: SelectionProblem, *, max_labels: int = 2**18) -> Schedule:
+    """Extend every partial schedule from the last step to the first: the form to read first.
+
+    A label is (cost so far above the bound, offset y it hands to earlier steps, choices).
+    Nothing is discarded, so there are W^H labels at the end; `dynamic_program` gives the same
+    optimum with a handful.
+
+    Parameters
+    ----------
+    problem : SelectionProblem
+        A tiny problem.
+    max_labels : int
+        Refuse a problem with more labels than this.
+
+    Returns
+    -------
+    Schedule
+        The optimum.
+
+    Raises
+    ------
+    ValueError
+        If W^H exceeds `max_labels`.
+    """
+    H, W, p = problem.mean.shape
+    if W**H > max_labels:
+        raise ValueError(f"problem: expected at most {max_labels} labels, found {W}^{H}")
+    reference = relax_interior_point(problem).reference
+    bound, reduced, e, U = _triangle(problem, reference)
+    labels: list[tuple[Any, Array, tuple[int, ...]]] = [(0.0, np.zeros(H * p), ())]
+    for t in reversed(range(H)):
+        rows = slice(t * p, (t + 1) * p)
+        labels = [
+            (
+                extra + reduced[t, w] + sum((y + U[:, rows] @ e[t, w])[rows] ** 2),
+                y + U[:, rows] @ e[t, w],
+                (w, *later),
+            )
+            for extra, y, later in labels
+            for w in range(W)
+        ]
+    extra, _, choices = min(labels, key=lambda label: label[0])
+    return _certified(
+        problem, choices, reference, "plain_dynamic_program", bound + extra, labels=len(labels)
+    )
+
+
+def _compress(U: Array, size: Array, p: int) -> list[tuple[Array, Array, Array]]:
+    """Coordinates for offsets: (read, carry, push) of each step.
+
+    The offset on the rows before step t lies in the range of U[:tp, tp:], whose rank is small
+    (n or 2n).  With an orthonormal basis V_t of it, coordinates y_t = V_t'offset keep all
+    distances, and choosing e at step t gives y_t = carry y_{t+1} + push e; read y_{t+1} is the
+    offset on the rows of step t itself.  `size` (pH,) is the range of e, so that directions are
+    dropped by what they could ever cost, relative to all there is.
+    """
+    H = len(U) // p
+    steps: list[tuple[Array, Array, Array]] = [None] * H  # type: ignore[list-item]
+    smallest = 1e-10 * float((la.norm(U, axis=0) * size).max())
+    basis = scaled = np.zeros((H * p, 0))
+    for t in reversed(range(H)):
+        rows, before = slice(t * p, (t + 1) * p), slice(0, t * p)
+        column = U[before, rows]
+        V, strength, _ = la.svd(
+            np.hstack([scaled[before], column * size[rows]]), full_matrices=False
+        )
+        V = V[:, strength > smallest]
+        steps[t] = (basis[rows], V.T @ basis[before], V.T @ column)
+        basis, scaled = V, V * strength[: V.shape[1]]
+    return steps
+
+
+def _undominated(
+    extra: Array, y: Array, budget: float, slack: float, expired: Callable[[], bool]
+) -> npt.NDArray[np.bool_]:
+    """Mark the labels, sorted by extra cost, that no cheaper label nearby makes superfluous.
+
+    Let i, j be labels at distance rho = |y_i - y_j|.  A completion costs them |v + y_i|^2 and
+    |v + y_j|^2 plus the same reduced costs, and a completion of j within the budget has
+    |v + y_j|^2 <= budget - extra_j.  Since |v + y_i| <= |v + y_j| + rho, i is never worse if
+
+        extra_i + 2 rho sqrt(budget - extra_j) + rho^2 <= extra_j.
+
+    Any label may be tested against any cheaper one; we test against the cheapest label of the
+    same grid cell, for cells from the size of the budget down to where rounding begins.
+    """
+    alive = np.arange(len(extra))
+    hashing = np.cumprod(np.full(y.shape[1], 0x9E3779B97F4A7C15, dtype=np.uint64))
+    for halvings in (0, 2, 4, 6, 8, 10, 24):  # the last merges what differs by rounding
+        if len(alive) < 2 or expired():
+            break
+        width = math.sqrt(budget) / 2**halvings
+        corner = np.floor(y[alive] / width + 0.618 * halvings)  # shifted: cells share no borders
+        cell = corner.astype(np.int64).astype(np.uint64) @ hashing
+        _, first, member = np.unique(cell, return_index=True, return_inverse=True)
+        i, j = alive[first[member]], alive
+        rho2 = ((y[i] - y[j]) ** 2).sum(axis=1)
+        reach = 2 * np.sqrt(rho2 * np.maximum(budget - extra[j], 0))
+        alive = alive[(i == j) | (extra[i] + reach + rho2 > extra[j] + slack)]
+    kept = np.zeros(len(extra), dtype=bool)
+    kept[alive] = True
+    return kept
+
+
+def _rounding(problem: SelectionProblem, reference: Array) -> float:
+    """Size of the rounding errors in costs near a reference: what a solver cannot tell apart."""
+    H, _, p = problem.mean.shape
+    away = problem.mean - reference.reshape(H, 1, p)
+    diagonal = problem.quadratic.diagonal().reshape(H, p)
+    return float(1e-14 * H * np.einsum("twi,ti->tw", away**2, diagonal).max())
+
+
+def dynamic_program(
+    problem: SelectionProblem,
+    *,
+    time_limit: float | None = None,
+    max_labels: int = 20_000,
+    gap: float = OPTIMALITY_GAP,
+    relaxation: Relaxation | None = None,
+) -> Schedule:
+    """Prove an optimum by dynamic programming from the last step to the first.
+
+    Sphere decoding (Fincke and Pohst 1985) on a Viterbi trellis: every label is a partial
+    schedule; one whose cost so far exceeds the budget cost - LB(d) is dropped, and so is one
+    that a cheaper label at nearly the same offset dominates (`_undominated`).  What remains is
+    a handful of labels, though the worst case is exponential: the problem is NP-hard.
+
+    Passes widen: at most 64 labels a step, then 4096, then `max_labels`.  A pass that had to
+    drop labels proves the least extra cost it dropped; one that did not is a proof of optimality
+    (up to `ROUNDING`); and a better schedule found early shrinks the budget of the next pass.
+
+    Parameters
+    ----------
+    problem : SelectionProblem
+        The problem.
+    time_limit : float, optional
+        Seconds after which the best schedule and bound so far are returned.
+    max_labels : int
+        Most labels kept a step; bounds memory.
+    gap : float
+        Stop when cost and bound agree to this fraction.
+    relaxation : Relaxation, optional
+        Where d and the first schedule come from; `relax_interior_point` by default.
+
+    Returns
+    -------
+    Schedule
+        `work` holds the labels kept at every step of the last pass, the passes and the seconds.
+
+    Raises
+    ------
+    ValueError
+        A limit out of range.
+    """
+    expired = _stopwatch(time_limit)
+    started, widest = perf_counter(), check_count("max_labels", max_labels)
+    relaxation = relax_interior_point(problem) if relaxation is None else relaxation
+    first = round_and_swap(problem, relaxation)
+    best, cost, proved = first.choices, first.cost, first.root_bound
+    triangle = _triangle(problem, relaxation.reference)
+    range_of_e = np.abs(triangle.deviation).max(axis=1).ravel()
+    steps = _compress(triangle.U, range_of_e, problem.mean.shape[2])
+    labels, passes = np.zeros(len(problem.mean), dtype=int), 0
+    for width in sorted({min(64, widest), min(4096, widest), widest}):
+        if cost - proved <= gap * max(abs(cost), abs(proved)) or (passes and expired()):
+            break
+        slack = ROUNDING * max(abs(cost), abs(proved)) + _rounding(problem, relaxation.reference)
+        budget = cost - triangle.bound + slack
+        found, missed, labels = _decode(triangle, steps, budget, slack, width, expired)
+        passes += 1
+        if found is not None:
+            found, _ = _swap(problem, found)
+            if problem.total_cost(found) < cost:
+                best, cost = found, float(problem.total_cost(found))
+        proved = max(proved, min(cost, triangle.bound + missed - slack))
+        if missed == math.inf:
+            break
+    return _certified(
+        problem,
+        best,
+        relaxation.reference,
+        "dynamic_program",
+        proved,
+        labels=labels,
+        passes=passes,
+        seconds=perf_counter() - started,
+    )
+
+
+def _decode(
+    triangle: _Triangle,
+    steps: list[tuple[Array, Array, Array]],
+    budget: float,
+    slack: float,
+    width: int,
+    expired: Callable[[], bool],
+) -> tuple[Choices | None, float, npt.NDArray[np.int_]]:
+    """Run one pass of `dynamic_program`: cheapest choices, least extra cost dropped, labels."""
+    _, reduced, deviation, U = triangle
+    H, _, p = deviation.shape
+    extra, y, missed = np.zeros(1), np.zeros((1, 0)), math.inf
+    trail: list[tuple[Choices, Choices]] = []
+    for t in reversed(range(H)):
+        read, carry, push = steps[t]
+        models = np.flatnonzero(reduced[t] <= budget)
+        own = deviation[t, models] @ U[t * p : (t + 1) * p, t * p : (t + 1) * p].T
+        felt = ((y @ read.T)[:, None] + own) ** 2
+        grown = extra[:, None] + reduced[t, models] + felt.sum(axis=-1)
+        parent, child = np.nonzero(grown <= budget)
+        order = np.argsort(grown[parent, child], kind="stable")
+        parent, child = parent[order], child[order]
+        extra = grown[parent, child]
+        y = (y @ carry.T)[parent] + (deviation[t, models] @ push.T)[child]
+        kept = np.flatnonzero(_undominated(extra, y, budget, slack / H, expired))
+        most = min(width, 64) if expired() else width  # out of time: finish on a narrow beam
+        if len(kept) > most:
+            missed = min(missed, float(extra[kept[most]]))
+        kept = kept[:most]
+        extra, y = extra[kept], y[kept]
+        trail.append((parent[kept], models[child[kept]]))
+    labels = np.array([len(models) for _, models in reversed(trail)])
+    if not len(extra):
+        return None, missed, labels
+    choices, label = np.empty(H, dtype=np.intp), 0
+    for t, (parent, models) in enumerate(reversed(trail)):
+        choices[t], label = models[label], parent[label]
+    return choices, missed, labels
+
+
+def _stopwatch(time_limit: float | None) -> Callable[[], bool]:
+    """Return a function that tells whether the time limit (in seconds, if any) is over."""
+    if time_limit is None:
+        return lambda: False
+    end = perf_counter() + check_number("time_limit", time_limit, minimum=0)
+    return lambda: perf_counter() >= end
+
+
+# --------------------------------------------------------------- solvers: branch and bound
+
+
+class Node(NamedTuple):
+    """A node of the tree of `branch_and_bound`: its parent with one more choice made."""
+
+    parent: int  #: position of the parent in the tree; -1 for the root
+    step: int  #: the step at which this node has chosen; -1 for the root
+    model: int  #: the model chosen there
+    bound: float  #: no schedule below this node costs less
+    seconds: float  #: when it was bounded
+    best: float  #: cost of the best schedule known then
+
+
+def branch_and_bound(
+    problem: SelectionProblem,
+    *,
+    time_limit: float | None = None,
+    max_nodes: int | None = None,
+    gap: float = OPTIMALITY_GAP,
+) -> Schedule:
+    """Split the problem where rounding hurts most, always the part with the lowest bound next.
+
+    Every node relaxes what is still open, rounds the result to a schedule, and forbids for all
+    its children the models whose reduced cost exceeds best - bound.  Its children settle the
+    step with the largest spread sum_w b[t,w] |mu[t,w] - d_t|^2 in the metric of Psi_tt.  Nodes
+    that cannot beat the best schedule are dropped.  Best first expands no node that another
+    order could avoid, and its lower bound only rises.
+
+    Parameters
+    ----------
+    problem : SelectionProblem
+        The problem.
+    time_limit : float, optional
+        Seconds after which the best schedule and bound so far are returned.
+    max_nodes : int, optional
+        Most nodes bounded.
+    gap : float
+        Stop when cost and bound agree to this fraction.
+
+    Returns
+    -------
+    Schedule
+        `work["tree"]` is the list of `Node`, root first; also `nodes` and `seconds`.
+
+    Raises
+    ------
+    ValueError
+        A limit out of range.
+    """
+    expired, started = _stopwatch(time_limit), perf_counter()
+    most = math.inf if max_nodes is None else check_count("max_nodes", max_nodes)
+    root = relax_interior_point(problem, gap=gap / 10)
+    incumbent = round_and_swap(problem, root)
+    best, cost, lower = incumbent.choices, incumbent.cost, root.bound
+    noise = _rounding(problem, root.reference)
+    tree = [Node(-1, -1, -1, lower, perf_counter() - started, cost)]
+    allowed, step = _narrow(problem, np.isfinite(problem.linear), root, cost)
+    queue = [(lower, 0, allowed, step)]
+    while queue and len(tree) < most and not expired():
+        lower, parent, allowed, step = queue[0]
+        if cost - lower <= max(gap * max(abs(cost), abs(lower)), noise):
+            break
+        heapq.heappop(queue)
+        for model in np.flatnonzero(allowed[step]):
+            child = allowed.copy()
+            child[step] = np.arange(child.shape[1]) == model
+            point = relax_interior_point(problem, allowed=child, gap=gap / 10, ceiling=cost)
+            candidate = round_and_swap(problem, point)
+            if candidate.cost < cost:
+                best, cost = candidate.choices, candidate.cost
+            bound = max(lower, point.bound)
+            tree.append(Node(parent, int(step), int(model), bound, perf_counter() - started, cost))
+            child, undecided = _narrow(problem, child, point, cost)
+            if bound < cost and child[undecided].sum() > 1:
+                heapq.heappush(queue, (bound, len(tree) - 1, child, undecided))
+    lower = queue[0][0] if queue and cost - queue[0][0] > noise else cost
+    return _certified(
+        problem,
+        best,
+        root.reference,
+        "branch_and_bound",
+        lower,
+        nodes=len(tree),
+        tree=tree,
+        seconds=perf_counter() - started,
+    )
+
+
+def _narrow(
+    problem: SelectionProblem, allowed: npt.NDArray[np.bool_], point: Relaxation, cost: float
+) -> tuple[npt.NDArray[np.bool_], int]:
+    """Forbid models that cannot belong to a schedule cheaper than `cost`; name the step to split.
+
+    A step without a choice left is never named unless there is no other.
+    """
+    H, _, p = problem.mean.shape
+    again, G = _relaxed(problem, np.where(allowed, problem.linear, np.inf), point.weights, 0)
+    narrowed = allowed & (G - G.min(axis=1, keepdims=True) <= cost - again.bound)
+    narrowed[np.arange(H), G.argmin(axis=1)] = True
+    away = (problem.mean - point.reference.reshape(H, 1, p)) ** 2
+    weight = problem.quadratic.diagonal().reshape(H, 1, p)
+    spread = (point.weights * (away * weight).sum(axis=-1)).sum(axis=1)
+    return narrowed, int(np.where(narrowed.sum(axis=1) > 1, spread, -1.0).argmax())
+
+
+# ------------------------------------------------------------------------ solvers: all in one
+
+
+def solve(
+    problem: SelectionProblem,
+    *,
+    time_limit: float | None = None,
+    gap: float = OPTIMALITY_GAP,
+    max_labels: int = 20_000,
+) -> Schedule:
+    """Find and certify a best schedule by the cheapest way that proves it.
+
+    Uncoupled steps: one minimum per step.  Otherwise relax, round and swap; if the gap is still
+    open, `dynamic_program`.  Should that not settle it in half of the time limit, the other half
+    goes to `branch_and_bound`; the best schedule and the highest proved bound come back.
+
+    Parameters
+    ----------
+    problem : SelectionProblem
+        The problem.
+    time_limit : float, optional
+        Seconds after which the best schedule and bound so far are returned.
+    gap : float
+        Stop when cost and bound agree to this fraction.
+    max_labels : int
+        Most labels kept a step by `dynamic_program`; bounds memory.
+
+    Returns
+    -------
+    Schedule
+        Ask `.is_optimal` or `.gap` whether optimality was proved.
+
+    Raises
+    ------
+    ValueError
+        A limit out of range.
+    """
+    gap = check_number("gap", gap, minimum=0)
+    max_labels, started = check_count("max_labels", max_labels), perf_counter()
+    expired = _stopwatch(time_limit)
+    if is_separable(problem):
+        return solve_separable(problem)
+    relaxation = relax_interior_point(problem)
+    quick = round_and_swap(problem, relaxation)
+    if quick.gap <= gap or expired():
+        return quick
+    if time_limit is None:
+        return dynamic_program(problem, max_labels=max_labels, gap=gap, relaxation=relaxation)
+    left = time_limit - (perf_counter() - started)
+    decoded = dynamic_program(
+        problem, time_limit=left / 2, max_labels=max_labels, gap=gap, relaxation=relaxation
+    )
+    left = max(0.0, time_limit - (perf_counter() - started))
+    if decoded.gap <= gap:
+        return decoded
+    searched = branch_and_bound(problem, time_limit=left, gap=gap)
+    best = min(decoded, searched, key=lambda schedule: schedule.cost)
+    bound = max(decoded.lower_bound, searched.lower_bound)
+    return replace(best, lower_bound=min(best.cost, bound))

@@ -1,0 +1,27 @@
+"""Hypothesis profiles; HYPOTHESIS_PROFILE chooses one, `dev` is the default.
+
+dev       a few new examples in every run; a failure is kept and replayed, and prints its blob
+ci        more examples, the same ones every time
+mutation  few examples, the same ones every time: each of the many mutants gets the same tests
+"""
+
+import os
+
+from hypothesis import HealthCheck, settings
+
+os.environ.setdefault("MPLBACKEND", "Agg")  # figures are drawn without a screen
+
+# Times are no verdict on a shared machine: no deadline, and slow generation is no failure.
+settings.register_profile(
+    "dev",
+    settings.get_profile("default"),
+    deadline=None,
+    max_examples=30,
+    print_blob=True,
+    suppress_health_check=[HealthCheck.too_slow],
+)
+settings.register_profile(
+    "ci", settings.get_profile("dev"), max_examples=100, derandomize=True, database=None
+)
+settings.register_profile("mutation", settings.get_profile("ci"), max_examples=10)
+settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "dev"))

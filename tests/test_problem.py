@@ -1,0 +1,510 @@
+"""The selection problem, its certificate and its door, against enumeration, sampling and loops."""
+
+import re
+from dataclasses import FrozenInstanceError, replace
+from itertools import product
+
+import numpy as np
+import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
+from scipy.linalg import block_diag
+
+from modelselect import (
+    ControlTask,
+    Schedule,
+    SelectionProblem,
+    check_certificate,
+    control_cost,
+    from_one_hot,
+    one_hot,
+    plan,
+    preview_regret,
+    psi,
+    reference_bound,
+    run_controller,
+)
+
+from strategies import SEEDS, cases, every_schedule, gram, problems, sign_patterns
+
+# Sums of a few dozen products: exact up to this fraction of their largest terms.
+ROUNDING = 1e-11
+
+
+def covariance(problem, t, w):
+    """Sigma[t, w] as a (p, p) matrix."""
+    variance = problem.variance[t, w]
+    return variance if variance.ndim == 2 else np.diag(variance)
+
+
+def kappa(problem, t, w):
+    """The cost of model w at step t."""
+    return problem.model_cost[t, w] if problem.model_cost.ndim == 2 else problem.model_cost[w]
+
+
+def block(problem, t):
+    """Psi_tt."""
+    p = problem.mean.shape[2]
+    return problem.psi[t * p : (t + 1) * p, t * p : (t + 1) * p]
+
+
+def control_size(problem):
+    """What rounding in the control term is relative to: norms multiplied, where Psi is singular."""
+    most = (problem.mean**2).sum(-1).max(1).sum() + np.abs(problem.variance).sum()
+    return np.linalg.norm(problem.psi) * most
+
+
+def total_size(problem):
+    """The same for total costs, of any schedule that is available."""
+    cost = problem.model_cost[np.isfinite(problem.model_cost)].max()
+    return problem.alpha * control_size(problem) + problem.beta * cost * len(problem.mean)
+
+
+def available(problem, choices):
+    """Whether every chosen model is available at its step; of schedules (..., H)."""
+    H, W, _ = problem.mean.shape
+    return np.isfinite(np.broadcast_to(problem.model_cost, (H, W))[np.arange(H), choices]).all(-1)
+
+
+def draw_choices(data, problem):
+    """A schedule of models that may be unavailable."""
+    H, W, _ = problem.mean.shape
+    return np.array(data.draw(st.lists(st.integers(0, W - 1), min_size=H, max_size=H)))
+
+
+# --------------------------------------------------------------------------------- the encodings
+
+
+@given(st.integers(1, 5), st.lists(st.integers(0, 4), min_size=1, max_size=6))
+def test_one_hot_marks_the_chosen_model_and_from_one_hot_reads_it(W, choices):
+    choices = np.array(choices) % W
+    b = one_hot(choices, W)
+    assert b.tolist() == [[1.0 if w == chosen else 0.0 for w in range(W)] for chosen in choices]
+    assert (from_one_hot(b) == choices).all() and from_one_hot(b).dtype == np.intp
+
+
+@pytest.mark.parametrize(
+    "weights", [[[0, 0]], [[1, 1]], [[0.5, 0.5]], [[2, -1]], [[1, 0], [0, 0]], [[1e-9, 1]]]
+)
+def test_from_one_hot_refuses_rows_without_a_single_one(weights):
+    with pytest.raises(ValueError, match=r"^weights: expected a single 1"):
+        from_one_hot(weights)
+
+
+# --------------------------------------------------------------------------------- the objective
+
+
+@given(problems(), st.data())
+def test_the_control_term_is_the_papers_double_sum_plus_the_variances(problem, data):
+    choices = draw_choices(data, problem)
+    H, _, p = problem.mean.shape
+    expected = 0.0
+    for t, k in product(range(H), repeat=2):
+        mu, nu = problem.mean[t, choices[t]], problem.mean[k, choices[k]]
+        for r, q in product(range(p), repeat=2):
+            expected += mu[r] * problem.psi[t * p + r, k * p + q] * nu[q]
+    for t in range(H):
+        Sigma, Psi_tt = covariance(problem, t, choices[t]), block(problem, t)
+        expected += sum(Psi_tt[r, q] * Sigma[q, r] for r in range(p) for q in range(p))
+    assert abs(problem.control_term(choices) - expected) <= ROUNDING * control_size(problem)
+
+
+@given(problems(), st.data())
+def test_the_perception_term_adds_the_cost_of_the_chosen_models(problem, data):
+    choices = draw_choices(data, problem)
+    expected = sum(kappa(problem, t, w) for t, w in enumerate(choices))
+    assert problem.perception_term(choices) == pytest.approx(expected, rel=1e-14)
+
+
+@given(problems(), st.data())
+def test_the_total_is_alpha_control_plus_beta_perception(problem, data):
+    choices = draw_choices(data, problem)
+    assume(available(problem, choices))
+    control, perception = problem.control_term(choices), problem.perception_term(choices)
+    expected = problem.alpha * control + problem.beta * perception
+    assert abs(problem.total_cost(choices) - expected) <= ROUNDING * total_size(problem)
+
+
+@given(problems(unavailable=True))
+def test_the_total_is_infinite_exactly_where_a_chosen_model_is_unavailable(problem):
+    schedules = every_schedule(problem)
+    totals = problem.total_cost(schedules)
+    assert (np.isfinite(totals) == available(problem, schedules)).all()
+    assert not np.isnan(totals).any()  # also when beta = 0
+    assert np.isfinite(totals.min())
+
+
+@given(problems())
+def test_linear_is_the_weighted_trace_plus_the_weighted_cost(problem):
+    H, W, _ = problem.mean.shape
+    for t, w in product(range(H), range(W)):
+        if np.isinf(kappa(problem, t, w)):
+            assert problem.linear[t, w] == np.inf
+        else:
+            expected = problem.alpha * np.trace(block(problem, t) @ covariance(problem, t, w))
+            expected += problem.beta * kappa(problem, t, w)
+            assert abs(problem.linear[t, w] - expected) <= ROUNDING * total_size(problem)
+
+
+@given(problems())
+def test_a_batch_of_schedules_costs_what_each_costs_alone(problem):
+    schedules = every_schedule(problem)
+    for term in (problem.control_term, problem.perception_term, problem.total_cost):
+        batch, alone = term(schedules), [term(choices) for choices in schedules]
+        assert np.ndim(alone[0]) == 0 and batch.shape == (len(schedules),)
+        finite = np.isfinite(alone)
+        assert (np.isfinite(batch) == finite).all()
+        size = total_size(problem) + control_size(problem)
+        assert np.abs(batch[finite] - np.array(alone)[finite]).max(initial=0) <= ROUNDING * size
+
+
+@given(problems(), st.data())
+def test_the_stacked_mean_holds_component_r_of_step_t_at_t_p_plus_r(problem, data):
+    choices = draw_choices(data, problem)
+    mu, p = problem.chosen_mean(choices), problem.mean.shape[2]
+    assert mu.shape == (len(choices) * p,)
+    for t, w in enumerate(choices):
+        for r in range(p):
+            assert mu[t * p + r] == problem.mean[t, w, r]
+
+
+@given(problems(unavailable=False))
+def test_variances_are_diagonal_covariances_and_costs_may_be_repeated_at_every_step(problem):
+    H, W, _ = problem.mean.shape
+    full = np.array([[covariance(problem, t, w) for w in range(W)] for t in range(H)])
+    cost = np.array([[kappa(problem, t, w) for w in range(W)] for t in range(H)])
+    same, schedules = replace(problem, variance=full, model_cost=cost), every_schedule(problem)
+    difference = same.total_cost(schedules) - problem.total_cost(schedules)
+    assert np.abs(difference).max() <= ROUNDING * total_size(problem)
+
+
+# -------------------------------------------------------------------------- expected over errors
+
+
+@given(problems(max_horizon=3), st.data())
+def test_the_control_term_is_the_exact_mean_over_two_point_errors(problem, data):
+    choices = draw_choices(data, problem)
+    H, _, p = problem.mean.shape
+    signs, errors = sign_patterns(H, p), []
+    for t, w in enumerate(choices):
+        values, vectors = np.linalg.eigh(covariance(problem, t, w))
+        root = vectors * np.sqrt(np.maximum(values, 0))  # root root' = Sigma, and signs have I
+        errors.append(problem.mean[t, w] + signs[:, t] @ root.T)
+    e = np.stack(errors, axis=1).reshape(len(signs), H * p)
+    expected = np.mean([row @ problem.psi @ row for row in e])
+    assert abs(problem.control_term(choices) - expected) <= ROUNDING * control_size(problem)
+
+
+def test_the_control_term_is_the_mean_over_sampled_normal_errors():
+    rng, H, W, p, trials = np.random.default_rng(11), 4, 3, 2, 100_000
+    problem = SelectionProblem(
+        gram(rng, (H * p,), 3, False), rng.normal(size=(H, W, p)), gram(rng, (H, W, p), 2, False), [0] * W
+    )
+    choices = np.array([2, 0, 1, 2])
+    draws = [
+        rng.multivariate_normal(problem.mean[t, w], problem.variance[t, w], trials)
+        for t, w in enumerate(choices)
+    ]
+    e = np.concatenate(draws, axis=1)
+    regrets = ((e @ problem.psi) * e).sum(axis=1)
+    # 4.5 standard errors: a right formula fails for one seed in 150,000, and this seed is fixed.
+    standard_error = regrets.std() / np.sqrt(trials)
+    assert abs(problem.control_term(choices) - regrets.mean()) <= 4.5 * standard_error
+    assert standard_error < 0.01 * regrets.mean()  # so that a few per cent would be seen
+
+
+# ------------------------------------------------------------------------- theorems of the paper
+
+
+def rolled_out(task, x0, s, problem, information):
+    """alpha J + beta J_per of every schedule, with J by simulation; s may hold equal draws."""
+    schedules = every_schedule(problem)
+    steps = np.arange(task.horizon)
+    totals = []
+    for choices in schedules:
+        errors = problem.mean[steps, choices]
+        J = np.mean(control_cost(task, *run_controller(task, x0, s, s + errors, information)))
+        perception = sum(kappa(problem, t, w) for t, w in enumerate(choices))
+        totals.append(problem.alpha * J + problem.beta * perception)
+    return schedules, np.array(totals)
+
+
+def known_errors(task, information, seed):
+    """A problem with three models and known errors for this task, and three initial states."""
+    rng = np.random.default_rng(seed)
+    Psi, shape = psi(task, information), (task.horizon, 3, task.p)
+    mean = rng.normal(size=shape) / [[[1], [2], [4]]]
+    cost = [0, 1, 2] * np.trace(Psi) / 4 + [0, 1, 3]
+    problem = SelectionProblem(Psi, mean, np.zeros(shape), cost, alpha=0.8, beta=0.2)
+    return problem, rng.normal(size=(3, task.n)) * [[0], [1], [30]]
+
+
+@given(cases(max_horizon=3), st.sampled_from(("open_loop", "preview")), SEEDS)
+def test_simulation_and_objective_rank_all_schedules_alike_for_every_initial_state(
+    case, information, seed
+):
+    task, (_, s, _) = case
+    problem, starts = known_errors(task, information, seed)
+    for x0 in starts:
+        schedules, simulated = rolled_out(task, x0, s, problem, information)
+        totals = problem.total_cost(schedules)
+        constant = problem.alpha * control_cost(task, *run_controller(task, x0, s, s))
+        size = np.abs(simulated).max() + np.abs(totals).max()  # J is what the differences cancel
+        assert np.abs(simulated - totals - constant).max() <= 1e-9 * size
+        assert simulated[totals.argmin()] <= simulated.min() + 1e-9 * size
+
+
+@given(cases(max_horizon=2, max_p=2), st.sampled_from(("causal", "measurement")), SEEDS)
+def test_in_expectation_they_rank_alike_without_a_forecast_too(case, information, seed):
+    task, (x0, s, _) = case
+    problem, _ = known_errors(task, information, seed)
+    s = s * sign_patterns(*s.shape)
+    schedules, simulated = rolled_out(task, x0, s, problem, information)
+    totals = problem.total_cost(schedules)
+    right = run_controller(task, x0, s, s, information)
+    constant = problem.alpha * np.mean(control_cost(task, *right))
+    size = np.abs(simulated).max() + np.abs(totals).max()
+    assert np.abs(simulated - totals - constant).max() <= 1e-9 * size
+
+
+def best_of_each_step(problem):
+    """Choose each step's model while the others stay at the first available one."""
+    H, W, _ = problem.mean.shape
+    start = np.array([min(w for w in range(W) if kappa(problem, t, w) < np.inf) for t in range(H)])
+    choices = start.copy()
+    for t in range(H):
+        trials = np.tile(start, (W, 1))
+        trials[:, t] = range(W)
+        choices[t] = problem.total_cost(trials).argmin()
+    return choices
+
+
+def separates(problem):
+    """Whether choosing each step alone reaches the enumerated minimum."""
+    least = problem.total_cost(every_schedule(problem)).min()
+    return problem.total_cost(best_of_each_step(problem)) <= least + ROUNDING * total_size(problem)
+
+
+@given(problems(unbiased=True))
+def test_unbiased_models_separate_step_by_step(problem):
+    assert separates(problem)
+
+
+@given(problems(psi_kinds=("block",)))
+def test_a_block_diagonal_psi_separates_step_by_step(problem):
+    assert separates(problem)
+
+
+@given(cases(max_horizon=4), st.sampled_from(("causal", "measurement")), SEEDS)
+def test_without_a_forecast_the_problem_separates_step_by_step(case, information, seed):
+    assert separates(known_errors(case[0], information, seed)[0])
+
+
+def test_bias_and_a_forecast_couple_the_steps():
+    # Opposite errors of two steps cancel under psi = 11'; each alone had better been small.
+    mean = np.array([[[4], [1]], [[-4], [1]]])
+    coupled = SelectionProblem(np.ones((2, 2)), mean, np.zeros((2, 2, 1)), [0, 0])
+    assert not separates(coupled)
+
+
+@given(problems(max_horizon=4, unavailable=False), SEEDS)
+def test_drawing_models_at_random_costs_the_average_and_never_less_than_the_best(problem, seed):
+    H, W, p = problem.mean.shape
+    weights = np.random.default_rng(seed).dirichlet(np.ones(W), H)
+    # By the moments of the mixture: its variance holds the spread between the models' means.
+    m = [weights[t] @ problem.mean[t] for t in range(H)]
+    expected = problem.alpha * (np.ravel(m) @ problem.psi @ np.ravel(m))
+    for t, w in product(range(H), range(W)):
+        apart = problem.mean[t, w] - m[t]
+        spread = covariance(problem, t, w) + np.outer(apart, apart)
+        price = problem.alpha * np.trace(block(problem, t) @ spread)
+        expected += weights[t, w] * (price + problem.beta * kappa(problem, t, w))
+    schedules = every_schedule(problem)
+    chance = weights[np.arange(H), schedules].prod(axis=1)
+    totals = problem.total_cost(schedules)
+    tolerance = ROUNDING * total_size(problem)
+    assert abs(chance @ totals - expected) <= tolerance
+    assert expected >= totals.min() - tolerance
+
+
+@given(problems(), st.floats(0.01, 100))
+def test_scaling_alpha_and_beta_together_scales_every_total(problem, k):
+    scaled = replace(problem, alpha=k * problem.alpha, beta=k * problem.beta)
+    schedules = every_schedule(problem)
+    found, expected = scaled.total_cost(schedules), k * problem.total_cost(schedules)
+    finite = np.isfinite(expected)
+    tolerance = ROUNDING * k * total_size(problem)
+    assert np.abs(found[finite] - expected[finite]).max() <= tolerance
+
+
+# ------------------------------------------------------------------------------- the certificate
+
+
+def draw_reference(problem, kind, seed):
+    """A point d: far from all means, zero, or the mean of a random mixture of models."""
+    H, W, p = problem.mean.shape
+    rng = np.random.default_rng(seed)
+    weights = rng.dirichlet(np.ones(W), H)
+    hull = np.concatenate([weights[t] @ problem.mean[t] for t in range(H)])
+    return {"far": 10 * rng.normal(size=H * p), "zero": np.zeros(H * p), "hull": hull}[kind]
+
+
+def bound_size(problem, d):
+    """What rounding in LB(d) is relative to."""
+    means = np.abs(problem.mean).sum()
+    quadratic = problem.alpha * np.linalg.norm(problem.psi) * (d @ d + means * np.abs(d).sum())
+    return total_size(problem) + quadratic
+
+
+kinds = st.sampled_from(("far", "zero", "hull"))
+
+
+@given(problems(), kinds, SEEDS)
+def test_every_total_is_bound_plus_reduced_costs_plus_a_square(problem, kind, seed):
+    d = draw_reference(problem, kind, seed)
+    bound, reduced = reference_bound(problem, d)
+    schedules = every_schedule(problem)
+    schedules = schedules[available(problem, schedules)]
+    steps, tolerance = np.arange(len(problem.mean)), ROUNDING * bound_size(problem, d)
+    for choices, total in zip(schedules, problem.total_cost(schedules), strict=True):
+        away = problem.chosen_mean(choices) - d
+        square = problem.alpha * (away @ problem.psi @ away)
+        assert abs(bound + reduced[steps, choices].sum() + square - total) <= tolerance
+
+
+@given(problems(), kinds, SEEDS)
+def test_the_bound_of_every_reference_point_is_below_every_total(problem, kind, seed):
+    d = draw_reference(problem, kind, seed)
+    bound, reduced = reference_bound(problem, d)
+    least = problem.total_cost(every_schedule(problem)).min()
+    assert isinstance(bound, float) and bound <= least + ROUNDING * bound_size(problem, d)
+    assert (reduced.min(axis=1) == 0).all()
+    unavailable = np.isinf(np.broadcast_to(problem.model_cost, reduced.shape))
+    assert (np.isinf(reduced) == unavailable).all()
+
+
+def certified(problem, choices, d, **changes):
+    """An honest schedule with the certificate of d, but for the changes."""
+    cost, bound = float(problem.total_cost(choices)), reference_bound(problem, d)[0]
+    honest = Schedule(np.asarray(choices), cost, bound, bound, d, "by hand")
+    return replace(honest, **changes)
+
+
+@given(problems(), kinds, SEEDS)
+def test_an_honest_certificate_is_accepted_and_its_bound_returned(problem, kind, seed):
+    d = draw_reference(problem, kind, seed)
+    choices = best_of_each_step(problem)
+    assert check_certificate(problem, certified(problem, choices, d)) == reference_bound(problem, d)[0]
+
+
+def a_problem(**changes):
+    """Two steps, two models, p = 1; by hand: totals 5 (0,0), 1 (0,1), 5 (1,0), 5 (1,1)."""
+    arrays = {
+        "psi": [[1, 0], [0, 2]],
+        "mean": [[[1], [0]], [[0], [0]]],
+        "variance": [[[0], [0]], [[2], [0]]],
+        "model_cost": [[0, 1], [0, 0]],
+    }
+    return SelectionProblem(**(arrays | changes))
+
+
+def test_a_small_problem_and_its_bound_by_hand():
+    problem = a_problem()
+    assert problem.total_cost([[0, 0], [0, 1], [1, 0], [1, 1]]).tolist() == [5, 1, 5, 1]
+    bound, reduced = reference_bound(problem, [1, 0])
+    # G = [[2 * 1 * 1, 1], [4, 0]]: LB = 1 + 0 - 1.
+    assert bound == 0 and reduced.tolist() == [[1, 0], [4, 0]]
+
+
+@pytest.mark.parametrize(
+    "name, changes",
+    [
+        ("cost", {"cost": 1 + 1e-6}),
+        ("cost", {"cost": 1 - 1e-6}),
+        ("cost", {"cost": np.nan}),
+        ("cost", {"cost": np.inf}),
+        ("cost", {"choices": np.array([0, 0])}),
+        ("root_bound", {"root_bound": 0.5 + 1e-6}),
+        ("root_bound", {"root_bound": 0.5 - 1e-6}),
+        ("root_bound", {"root_bound": np.nan}),
+        ("root_bound", {"root_bound": -np.inf}),
+        ("root_bound", {"reference": np.array([1.0, 0])}),
+    ],
+)
+def test_a_tampered_certificate_is_refused(name, changes):
+    problem, d = a_problem(), np.array([np.sqrt(0.5), 0])
+    assert check_certificate(problem, certified(problem, [0, 1], d)) == pytest.approx(0.5)
+    with pytest.raises(ValueError, match=rf"^schedule\.{name}: expected"):
+        check_certificate(problem, certified(problem, [0, 1], d, **changes))
+
+
+@given(problems(unavailable=False), kinds, SEEDS, st.sampled_from(("cost", "root_bound")))
+def test_a_number_off_by_a_millionth_of_the_largest_is_refused(problem, kind, seed, name):
+    d = draw_reference(problem, kind, seed)
+    schedule = certified(problem, best_of_each_step(problem), d)
+    # The largest of all totals: the sum of reduced costs is below it but for the hull's square.
+    totals = problem.total_cost(every_schedule(problem))
+    off = 1e-6 * (np.abs(totals).max() + bound_size(problem, d) + np.finfo(float).tiny)
+    with pytest.raises(ValueError, match=rf"^schedule\.{name}: "):
+        check_certificate(problem, replace(schedule, **{name: getattr(schedule, name) + off}))
+
+
+def test_a_model_too_dear_to_use_does_not_loosen_the_certificate():
+    problem = a_problem(model_cost=[[0, 1e20], [0, 0]])
+    with pytest.raises(ValueError, match=r"^schedule\.cost: "):
+        check_certificate(problem, certified(problem, [0, 1], np.zeros(2), cost=1e6))
+
+
+@pytest.mark.parametrize("cost", [1.0, -np.inf])
+def test_a_schedule_that_uses_an_unavailable_model_has_no_certificate(cost):
+    problem = a_problem(model_cost=[[0, np.inf], [0, 0]])
+    with pytest.raises(ValueError, match=r"^schedule\."):
+        check_certificate(problem, certified(problem, [1, 1], np.zeros(2), cost=cost))
+
+
+def test_the_certificate_of_a_schedule_of_another_problem_is_refused():
+    with pytest.raises(ValueError, match=r"^choices: expected shape"):
+        schedule = certified(a_problem(), [0, 1], np.zeros(2))
+        check_certificate(a_problem(), replace(schedule, choices=np.array([0, 1, 0])))
+
+
+@pytest.mark.parametrize(
+    "cost, lower_bound, gap",
+    [(0, 0, 0), (2, 1, 1 / 2), (-1, -2, 1 / 2), (1, -1, 2), (1e16, 1e16 - 2, 2e-16), (5, 0, 1)],
+)
+def test_the_gap_is_relative_to_the_larger_of_cost_and_bound(cost, lower_bound, gap):
+    schedule = Schedule(np.array([0]), cost, lower_bound, lower_bound, np.zeros(1), "by hand")
+    assert schedule.gap == pytest.approx(gap)
+    assert schedule.is_optimal == (gap < 1e-9)
+
+
+@pytest.mark.parametrize("gap, optimal", [(0.9e-9, True), (1.1e-9, False)])
+def test_a_schedule_is_optimal_up_to_a_relative_gap_of_1e_9(gap, optimal):
+    schedule = Schedule(np.array([0]), 1e16, 1e16 * (1 - gap), 0.0, np.zeros(1), "by hand")
+    assert schedule.is_optimal is optimal
+
+
+# ----------------------------------------------------------------------------------- at the door
+
+
+@pytest.mark.parametrize("name", ["psi", "mean", "variance", "model_cost", "linear"])
+def test_the_arrays_of_a_problem_are_read_only(name):
+    problem = a_problem()
+    with pytest.raises(FrozenInstanceError):
+        setattr(problem, name, 0)
+    with pytest.raises(ValueError, match="read-only"):
+        getattr(problem, name)[...] = 0
+
+
+def test_a_problem_does_not_change_with_the_arrays_it_was_made_from():
+    arrays = {
+        "psi": np.eye(2), "mean": np.ones((2, 2, 1)), "variance": np.ones((2, 2, 1)),
+        "model_cost": np.ones(2),
+    }
+    problem = SelectionProblem(**arrays)
+    before = problem.total_cost([0, 1])
+    for array in arrays.values():
+        array *= 7
+    assert problem.total_cost([0, 1]) == before
+
+
