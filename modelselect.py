@@ -65,7 +65,7 @@ MATRIX_TOLERANCE = 1e-12
 OPTIMALITY_GAP = 1e-9
 # The exact solvers treat costs as equal that differ by less than this fraction.
 ROUNDING = 1e-10
-# Share of its diagonal by which Psi is shifted before it is factored (see `_triangle`).
+# Share of its diagonal by which a possibly singular Psi is shifted to factor it: see `_triangle`.
 SHIFT = 1e-9
 
 
@@ -526,13 +526,12 @@ def _open_loop_factor(task: ControlTask) -> Array:
         L = QM.T @ N.reshape(H * n, H * p)
     try:
         G = la.cholesky((K + K.T) / 2, lower=True)
-        Y: Array = la.solve_triangular(G, L, lower=True)
+        return np.asarray(la.solve_triangular(G, L, lower=True))
     except (la.LinAlgError, ValueError):
         raise ValueError(
             "task: planning open loop over this horizon is out of reach of double precision, as "
             "A is too unstable; use information='preview' or a shorter horizon"
         ) from None
-    return Y
 
 
 def _preview_factor(task: ControlTask) -> Array:
@@ -1051,6 +1050,7 @@ def project_to_simplex(points: Array) -> Array:
     ndarray, (..., W)
         Points of the simplex.
     """
+    points = points - points.max(axis=-1, keepdims=True)  # same nearest point, no lost digits
     v = -np.sort(-points, axis=-1)
     thresholds = (np.cumsum(v, axis=-1) - 1) / np.arange(1, v.shape[-1] + 1)
     positive = np.count_nonzero(v > thresholds, axis=-1, keepdims=True)
@@ -1187,7 +1187,7 @@ def relax_interior_point(
         weights[free] /= weights[free].sum(axis=1, keepdims=True)
         point, G = _relaxed(problem, linear, weights, iteration)
         y = np.minimum(y + dy, G[free].min(axis=1) - 1e-3 * tau)  # rounding must not close z
-        best = point if point.bound > best.bound else best
+        best = min(best, point, key=lambda it: it.value - it.bound)
     return best
 
 
@@ -1300,7 +1300,7 @@ def _triangle(problem: SelectionProblem, reference: Array) -> _Triangle:
     bound, reduced = reference_bound(problem, reference)
     deviation = problem.mean - reference.reshape(H, 1, p)
     diagonal = problem.quadratic.diagonal()
-    shift = SHIFT * np.where(diagonal > 0, diagonal, diagonal.max() or 1)
+    shift = SHIFT * diagonal + MATRIX_TOLERANCE * diagonal.sum() + np.finfo(float).tiny
     reduced = reduced - np.einsum("twi,ti->tw", deviation**2, shift.reshape(H, p))
     lowest = reduced.min(axis=1)
     U = la.cholesky(problem.quadratic + np.diag(shift))

@@ -82,8 +82,8 @@ class PerceptionSuite:
         if error is not None:
             error = check_array("standard_error", error, "H W p", (H, W, p))
             _check_nonnegative("standard_error", error)
-        measured = {"sample_size": size, "standard_error": error}
-        _freeze(self, names=names, mean=mean, variance=variance, cost=cost, **measured)
+        _freeze(self, names=names, mean=mean, variance=variance, cost=cost)
+        _freeze(self, sample_size=size, standard_error=error)
 
     def pick(self, models: Sequence[str | int]) -> PerceptionSuite:
         """Return the suite of only these models, in this order.
@@ -180,18 +180,19 @@ def gaussian_suite(
     mean = check_array("bias", bias(w, x[:, None]), "H W", (H, W))
     deviation = check_array("spread", spread(w, x[:, None]), "H W", (H, W))
     _check_nonnegative("spread", deviation)
-    blur = check_array("jitter", jitter, "2", (2,))
-    _check_nonnegative("jitter", blur)
+    relative = check_array("jitter", jitter, "2", (2,))
+    _check_nonnegative("jitter", relative)
     if signs not in ("same", "model", "step"):
         raise ValueError(f"signs: expected same, model or step, found {signs!r}")
-    if blur.any() or signs != "same":
-        z = _check_rng(rng).standard_normal((2, H, W))
-        # A deviation that falls below zero counts by its size, as only its square is used.
-        mean, deviation = mean * (1 + blur[0] * z[0]), deviation * (1 + blur[1] * z[1])
-    if signs != "same":
-        mean = mean * _check_rng(rng).choice([-1, 1], (H if signs == "step" else 1, W))
-    chosen = [f"b{i}" for i in range(W)] if names is None else names
-    return PerceptionSuite(chosen, mean[..., None], deviation[..., None] ** 2, price)
+    if relative.any() or signs != "same":
+        rng = _check_rng(rng)
+        factor = 1 + relative[:, None, None] * rng.standard_normal((2, H, W))
+        # A deviation below zero counts by its size, as only its square is used.
+        mean, deviation = mean * factor[0], deviation * factor[1]
+        if signs != "same":
+            mean = mean * rng.choice([-1, 1], (H if signs == "step" else 1, W))
+    labels = [f"b{i}" for i in range(W)] if names is None else names
+    return PerceptionSuite(labels, mean[..., None], deviation[..., None] ** 2, price)
 
 
 def textbook_suite(
@@ -199,8 +200,8 @@ def textbook_suite(
 ) -> PerceptionSuite:
     """Draw the suite of the textbook aircraft: eight models, all better near the ground.
 
-    At altitude h model w has bias 1.5 * 0.6^w * (0.3 + h/100) ft and standard
-    deviation 2 * 0.65^w * (0.3 + h/100) ft, with 20% and 10% of jitter.
+    At altitude h, model w has bias 1.5 * 0.6^w * (0.3 + h/100) ft and standard deviation
+    2 * 0.65^w * (0.3 + h/100) ft, with 20% and 10% of jitter.
 
     Parameters
     ----------
@@ -297,15 +298,14 @@ class Residuals:
         names = _check_names(self.names)
         residual = check_array("residual", self.residual, "N", (None,))
         altitude = check_array("altitude", self.altitude, "N", residual.shape)
-        top = len(names) - 1
-        model = _check_integers("model", self.model, "N", residual.shape, top=top)
+        model = _check_integers("model", self.model, "N", residual.shape, top=len(names) - 1)
         _freeze(self, names=names, model=model, altitude=altitude, residual=residual)
 
 
 HEADER = ["model", "altitude", "residual"]
 
 
-def read_residuals(path: str | os.PathLike[str], names: Sequence[str] = ()) -> Residuals:
+def read_residuals(path: str | os.PathLike[str], names: Sequence[str] | None = None) -> Residuals:
     """Read a CSV file with the header ``model,altitude,residual`` and one residual a line.
 
     The columns keep this order, as an altitude taken for a residual would pass for one; blanks
@@ -336,14 +336,14 @@ def read_residuals(path: str | os.PathLike[str], names: Sequence[str] = ()) -> R
         raise ValueError(f"{path}, line {line}: expected the header {wanted}, found {found!r}")
     if not rows:
         raise ValueError(f"{path}: expected residuals below the header, found none")
-    number = {name: w for w, name in enumerate(names)}
-    wanted = f"{' or '.join(names) or 'a model'} and two finite numbers"
+    number = {} if names is None else {name: w for w, name in enumerate(_check_names(names))}
+    wanted = f"{' or '.join(number) or 'a model'} and two finite numbers"
     records = []
     for line, row in rows:
         try:
             (model,) = _check_names(row[:1])
             pair = check_array("", [float(cell) for cell in row[1:]], "2", (2,))
-            w = number[model] if names else number.setdefault(model, len(number))
+            w = number.setdefault(model, len(number)) if names is None else number[model]
         except (ValueError, KeyError):
             found = ",".join(row)[:60]
             raise ValueError(f"{path}, line {line}: expected {wanted}, found {found!r}") from None

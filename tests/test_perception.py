@@ -5,6 +5,7 @@ Random checks allow six standard errors, which a normal number exceeds once in 5
 
 import math
 from dataclasses import FrozenInstanceError, replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -559,7 +560,7 @@ def plain_edges(bins, trajectory):
 
 def plain_cell(residuals, model, altitude, edges):
     """Residuals of a model in the bin of this altitude, found by walking through all of them."""
-    for low, high in zip(edges[:-1], edges[1:], strict=True):
+    for low, high in pairwise(edges):
         inside = [
             r
             for w, h, r in zip(residuals.model, residuals.altitude, residuals.residual, strict=True)
@@ -678,7 +679,7 @@ def test_bins_off_the_trajectory_need_no_residuals():
         ),
         (
             {"bins": 2},
-            "residuals: expected 2 or more of b at altitudes 3 to 5, found 1; use fewer bins or",
+            "residuals: expected 2 or more of a at altitudes 1 to 3, found 1; use fewer bins or",
         ),
         ({"bins": [0, 2, 6]}, "2 or more of a at altitudes 0 to 2, found 1"),
         ({"bins": [0, 1.5, 6], "trajectory": [4.0, 1.0]}, "of a at altitudes 0 to 1.5, found 1"),

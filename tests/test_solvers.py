@@ -1,0 +1,457 @@
+"""The solvers: every bound below, every heuristic above, every exact method at the optimum.
+
+The oracle is `every_schedule` of strategies.py: the cost of each schedule, and their minimum.
+"""
+
+from dataclasses import replace
+
+import cvxpy as cp
+import numpy as np
+import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+from strategies import SEEDS, every_schedule, problems
+
+import modelselect as ms
+from modelselect import SelectionProblem
+from perception import published_suite, textbook_suite
+
+EXACT = [
+    ms.enumerate_schedules,
+    ms.plain_dynamic_program,
+    ms.dynamic_program,
+    ms.branch_and_bound,
+    ms.solve,
+]
+INEXACT = [ms.round_and_swap]
+names = {"ids": lambda solver: solver.__name__}
+
+
+def rounding(problem):
+    """What cannot be told apart: 1e-10 of the largest terms that a cost is summed from."""
+    felt = np.abs(problem.mean).max(axis=1).ravel()
+    finite = np.where(np.isfinite(problem.linear), np.abs(problem.linear), 0)
+    return 1e-10 * float(felt @ np.abs(problem.quadratic) @ felt + finite.max(axis=1).sum())
+
+
+def optimum(problem):
+    return problem.total_cost(every_schedule(problem)).min()
+
+
+def known_suite(seed, H=12, W=4, p=1, rank=None):
+    """A coupled problem without special structure."""
+    rng = np.random.default_rng(seed)
+    F = rng.normal(size=(rank or p * H, p * H))
+    mean = rng.normal(size=(H, W, p))
+    return SelectionProblem(F.T @ F, mean, mean**2 / 4, np.arange(W) * H / 4)
+
+
+def landing(task, suite, information, upsilon=1.0):
+    """The selection problem of a landing."""
+    psi = ms.psi(task, information)
+    return SelectionProblem(psi, suite.mean, suite.variance, upsilon * suite.cost, 0.8, 0.2)
+
+
+def glider(H=150):
+    """A textbook-like task: an unstable pair of modes with an altitude to hold."""
+    A = np.array([[1, 0.13, 0.1], [0, 0.95, 0.9], [0, -0.03, 0.9]])
+    return ms.ControlTask(
+        A, [[0], [0], [-0.3]], [[1.0], [0], [0]], np.diag([1.0, 1, 100]), [[10.0]], H
+    )
+
+
+# ------------------------------------------------------------------------------- relaxations
+
+
+@given(SEEDS, st.integers(1, 6), st.integers(-8, 16))
+def test_projection_is_the_nearest_point_of_the_simplex(seed, W, magnitude):
+    v = np.random.default_rng(seed).normal(size=(3, W)) * 10.0**magnitude
+    x = ms.project_to_simplex(v)
+    assert (x >= 0).all()
+    assert np.abs(x.sum(axis=1) - 1).max() <= 1e-14 * W
+    # x is nearest exactly if v - x makes no acute angle with the way to any vertex.
+    angle = (v - x)[:, None] * (np.eye(W) - x[:, None])
+    assert angle.sum(axis=2).max() <= 1e-13 * max(1, np.abs(v).max()) * W
+
+
+@given(problems())
+def test_both_relaxations_bound_every_schedule_and_reach_their_bound(problem):
+    best, slack = optimum(problem), rounding(problem)
+    for point in (ms.relax(problem), ms.relax_interior_point(problem)):
+        assert point.bound <= best + slack
+        assert point.bound <= point.value + slack
+        assert point.value - point.bound <= 1e-5 * abs(point.value) + 1e3 * slack
+        assert np.abs(point.weights.sum(axis=1) - 1).max() < 1e-9
+        assert point.weights.min() >= 0
+        assert point.bound == pytest.approx(
+            ms.reference_bound(problem, point.reference)[0], rel=1e-12, abs=slack
+        )
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("p", [1, 2])
+def test_relaxations_agree_with_a_general_convex_solver(seed, p):
+    problem = known_suite(seed, H=8, p=p, rank=5)
+    H, W, _ = problem.mean.shape
+    b, U = cp.Variable((H, W), nonneg=True), np.linalg.cholesky(problem.psi + 1e-12 * np.eye(p * H))
+    d = cp.hstack([b[t] @ problem.mean[t, :, i] for t in range(H) for i in range(p)])
+    objective = cp.sum_squares(U.T @ d) + cp.sum(cp.multiply(problem.linear, b))
+    value = cp.Problem(cp.Minimize(objective), [cp.sum(b, axis=1) == 1]).solve(solver="CLARABEL")
+    for relax in (ms.relax, ms.relax_interior_point):
+        assert relax(problem, gap=1e-7).value == pytest.approx(value, rel=1e-6)
+
+
+def test_interior_point_needs_few_steps_where_gradients_need_thousands():
+    # The published Psi spans four orders of magnitude.
+    problem = published()
+    newton, gradient = ms.relax_interior_point(problem), ms.relax(problem)
+    assert newton.gap <= 1e-7
+    assert newton.iterations <= 20
+    assert gradient.gap <= 1e-6
+    assert gradient.iterations >= 500
+    assert newton.bound == pytest.approx(gradient.bound, rel=1e-6)
+
+
+def test_interior_point_keeps_to_the_models_it_is_allowed():
+    problem = known_suite(3)
+    allowed = np.random.default_rng(0).random(problem.mean.shape[:2]) < 0.5
+    allowed[:, 2] = True
+    point = ms.relax_interior_point(problem, allowed=allowed)
+    cheapest = optimum(
+        replace(problem, model_cost=np.where(allowed, problem.model_cost, np.inf))
+        if problem.mean.shape[0] < 8
+        else shortened(problem, allowed)
+    )
+    assert point.weights[~allowed].max() == 0
+    assert ms.relax_interior_point(shortened(problem, allowed)).bound <= cheapest + 1e-9
+
+
+def shortened(problem, allowed, H=6):
+    """The first steps of a p = 1 problem, with the other models made unavailable."""
+    cost = np.where(allowed, problem.model_cost, np.inf)[:H]
+    return SelectionProblem(problem.psi[:H, :H], problem.mean[:H], problem.variance[:H], cost)
+
+
+# ------------------------------------------------------------------------------ exact solvers
+
+
+@pytest.mark.parametrize("solver", EXACT, **names)
+@settings(max_examples=5 * settings.default.max_examples)
+@given(problem=problems())
+def test_exact_solvers_find_and_prove_the_enumerated_optimum(solver, problem):
+    best, slack = optimum(problem), rounding(problem)
+    schedule = solver(problem)
+    assert schedule.cost == problem.total_cost(schedule.choices)
+    assert schedule.cost <= best + 1e-9 * abs(best) + slack
+    assert schedule.lower_bound <= best + slack
+    assert schedule.cost - schedule.lower_bound <= 1e-9 * abs(best) + slack
+    assert ms.check_certificate(problem, schedule) == schedule.root_bound <= best + slack
+
+
+@given(problems(), st.integers(1, 3))
+def test_schedules_of_any_budget_are_honest(problem, budget):
+    best, slack = optimum(problem), rounding(problem)
+    for schedule in (
+        ms.round_and_swap(problem),
+        ms.dynamic_program(problem, max_labels=budget),
+        ms.branch_and_bound(problem, max_nodes=budget),
+        ms.solve(problem, time_limit=0.0),
+        ms.solve(problem, max_labels=budget),
+    ):
+        assert schedule.lower_bound <= best + slack
+        assert schedule.cost >= best - slack
+        assert schedule.lower_bound <= schedule.cost
+        ms.check_certificate(problem, schedule)
+
+
+@given(problems())
+def test_no_single_swap_improves_what_round_and_swap_returns(problem):
+    schedule = ms.round_and_swap(problem)
+    H, W, _ = problem.mean.shape
+    neighbours = np.repeat(schedule.choices[None], H * W, axis=0)
+    neighbours[np.arange(H * W), np.repeat(np.arange(H), W)] = np.tile(np.arange(W), H)
+    assert problem.total_cost(neighbours).min() >= schedule.cost - rounding(problem)
+
+
+@given(problems(max_horizon=4, max_models=3), SEEDS)
+def test_triangle_restates_the_cost_exactly(problem, seed):
+    # For any reference, though a shifted Psi was factored.
+    d = np.random.default_rng(seed).normal(size=len(problem.psi))
+    bound, reduced, e, U = ms._triangle(problem, d)
+    assert (reduced >= 0).all()
+    H = len(reduced)
+    scale = rounding(problem) + 1e-10 * float(np.abs(d) @ np.abs(problem.quadratic) @ np.abs(d))
+    for c in every_schedule(problem):
+        steps = np.arange(H)
+        rebuilt = bound + reduced[steps, c].sum() + ((U @ e[steps, c].ravel()) ** 2).sum()
+        assert abs(rebuilt - problem.total_cost(c)) <= scale + 1e-300
+
+
+@pytest.mark.parametrize(("p", "rank"), [(1, None), (2, None), (2, 5), (3, 2)])
+def test_compressed_offsets_keep_their_lengths(p, rank):
+    problem = known_suite(5, H=10, p=p, rank=rank)
+    e, U = ms._triangle(problem, np.zeros(10 * p))[2:]
+    steps = ms._compress(U, np.abs(e).max(axis=1).ravel(), p)
+    chosen = e[np.arange(10), np.random.default_rng(1).integers(0, 4, 10)]
+    y, offset = np.zeros(0), np.zeros(10 * p)
+    for t in reversed(range(10)):
+        read, carry, push = steps[t]
+        rows = slice(t * p, (t + 1) * p)
+        np.testing.assert_allclose(read @ y, offset[rows], atol=1e-8)
+        y, offset = carry @ y + push @ chosen[t], offset + U[:, rows] @ chosen[t]
+        assert np.linalg.norm(y) == pytest.approx(np.linalg.norm(offset[: t * p]), abs=1e-8)
+
+
+@given(SEEDS, st.integers(0, 4), st.integers(1, 60), st.booleans())
+def test_only_dominated_labels_are_discarded(seed, dimensions, labels, whole):
+    rng = np.random.default_rng(seed)
+    extra = np.sort(rng.integers(0, 4, labels) / 4 if whole else rng.random(labels))
+    y = (
+        rng.integers(-1, 2, (labels, dimensions)) / 2
+        if whole
+        else rng.normal(size=(labels, dimensions)) / 10
+    )
+    kept = ms._undominated(extra, y, 1.0, 0.0, lambda: False)
+    assert kept[0]
+    for j in np.flatnonzero(~kept):
+        rho = np.linalg.norm(y[:j] - y[j], axis=1)
+        claim = extra[:j] + 2 * rho * np.sqrt(1 - extra[j]) + rho**2 <= extra[j] + 1e-12
+        assert claim.any(), "nothing before this label dominates it"
+
+
+def test_equal_offsets_merge_although_they_differ_by_rounding():
+    y = np.array([[0.1 + 0.2], [0.3], [-1e-17], [1e-17]])
+    kept = ms._undominated(np.zeros(4), y, 1.0, 1e-10, lambda: False)
+    assert kept.sum() == 2
+
+
+def test_preview_labels_stay_few_at_full_scale():
+    problem = landing_problem("preview", "step")
+    schedule = ms.dynamic_program(problem)
+    assert schedule.is_optimal
+    assert schedule.work["labels"].max() < 5000
+    assert schedule.work["labels"].shape == (150,)
+
+
+# ------------------------------------------------------------------------------ at full scale
+
+
+def published(seed=0, information="open_loop"):
+    """Experiment 1 of the paper (REFERENCE: forward Euler, C not scaled)."""
+    Ks, Ts, zeta, omega, V, dt = -0.95, 2.5, 0.5, 1.0, 20.0, 0.01
+    A = np.array(
+        [
+            [0, 1, 0, 0],
+            [0, 1 / Ts, V / Ts, 0],
+            [0, 0, 0, 1],
+            [
+                0,
+                1 / (V * Ts) - 2 * zeta * omega / (V * Ts) + omega**2 / V,
+                2 * zeta * omega / Ts - omega**2 - 1 / Ts**2,
+                1 / Ts - 2 * zeta * omega,
+            ],
+        ]
+    )
+    task = ms.ControlTask(
+        np.eye(4) + dt * A,
+        [[0], [0], [0], [dt * omega**2 / Ks]],
+        [[0], [0], [1.0], [0]],
+        np.diag([1e8, 1, 1e8, 1]),
+        [[1.0]],
+        150,
+    )
+    return landing(task, published_suite(150, np.random.default_rng(seed)), information)
+
+
+def landing_problem(information, signs, seed=0, H=150):
+    altitude = 100 * np.exp(-np.linspace(0, 4, H))
+    suite = textbook_suite(altitude, np.random.default_rng(seed), signs=signs)
+    task = glider(H)
+    small = landing(task, suite, information).control_term(np.zeros(H, dtype=int))
+    return landing(task, suite, information, upsilon=0.8 * small / (7 * H))
+
+
+@pytest.mark.parametrize("signs", ["same", "model", "step"])
+@pytest.mark.parametrize("information", ["open_loop", "preview"])
+def test_every_family_is_proved_at_full_scale(information, signs):
+    problem = landing_problem(information, signs)
+    schedule = ms.solve(problem)
+    assert schedule.is_optimal
+    assert ms.check_certificate(problem, schedule) <= schedule.cost
+
+
+@pytest.mark.parametrize("information", ["open_loop", "preview"])
+def test_published_experiment_is_proved(information):
+    schedule = ms.solve(published(information=information))
+    assert schedule.gap <= 1e-9
+
+
+@pytest.mark.parametrize("problem", [published(), landing_problem("preview", "same")])
+def test_branch_and_bound_proves_one_sign_instances_at_full_scale(problem):
+    schedule = ms.branch_and_bound(problem, max_nodes=5000)
+    assert schedule.is_optimal
+    assert schedule.cost == pytest.approx(ms.dynamic_program(problem).cost, rel=1e-12)
+
+
+def test_tree_of_branch_and_bound_is_a_tree_whose_bounds_only_rise():
+    schedule = ms.branch_and_bound(known_suite(0, H=14))
+    tree = schedule.work["tree"]
+    assert len(tree) == schedule.work["nodes"] > 1
+    assert tree[0].parent == -1
+    for position, node in enumerate(tree[1:], start=1):
+        assert 0 <= node.parent < position
+        assert node.bound >= tree[node.parent].bound
+    best = [node.best for node in tree]
+    assert best == sorted(best, reverse=True)
+
+
+def test_separable_problems_take_one_minimum_per_step():
+    problem = known_suite(1, H=9)
+    block_diagonal = replace(problem, psi=np.diag(problem.psi.diagonal()))
+    unbiased = replace(problem, mean=0 * problem.mean)
+    indifferent = replace(problem, alpha=0.0)
+    for separable in (block_diagonal, unbiased, indifferent):
+        schedule = ms.solve(separable)
+        assert schedule.solver == "solve_separable"
+        assert schedule.cost == pytest.approx(ms.dynamic_program(separable).cost, rel=1e-12)
+    assert not ms.is_separable(problem)
+    with pytest.raises(ValueError, match=r"^problem: expected uncoupled steps"):
+        ms.solve_separable(problem)
+
+
+# --------------------------------------------------------------------- metamorphic properties
+
+
+def edited(problem, **changes):
+    return ms.solve(replace(problem, **changes)).cost
+
+
+@given(problems(unavailable=False), SEEDS)
+def test_a_further_model_never_raises_the_optimum(problem, seed):
+    rng = np.random.default_rng(seed)
+    H, _, p = problem.mean.shape
+    more = {
+        "mean": np.concatenate([problem.mean, rng.normal(size=(H, 1, p))], axis=1),
+        "variance": np.concatenate([problem.variance, problem.variance[:, :1]], axis=1),
+        "model_cost": np.append(problem.model_cost, np.abs(problem.model_cost[..., :1]), axis=-1),
+    }
+    bigger = replace(problem, **more)
+    assert ms.solve(bigger).cost <= ms.solve(problem).cost + rounding(bigger)
+
+
+@given(problems())
+def test_removing_an_unused_model_leaves_the_optimum(problem):
+    schedule = ms.solve(problem)
+    used = np.isin(np.arange(problem.mean.shape[1]), schedule.choices)
+    assume(not used.all())
+    fewer = {name: getattr(problem, name)[:, used] for name in ("mean", "variance")}
+    fewer["model_cost"] = problem.model_cost[..., used]
+    assert abs(edited(problem, **fewer) - schedule.cost) <= rounding(problem)
+
+
+@given(problems(), SEEDS)
+def test_permuting_the_models_permutes_the_schedule(problem, seed):
+    order = np.random.default_rng(seed).permutation(problem.mean.shape[1])
+    permuted = replace(
+        problem,
+        mean=problem.mean[:, order],
+        variance=problem.variance[:, order],
+        model_cost=problem.model_cost[..., order],
+    )
+    schedule = ms.solve(permuted)
+    assert abs(schedule.cost - ms.solve(problem).cost) <= rounding(problem)
+    assert abs(problem.total_cost(order[schedule.choices]) - schedule.cost) <= rounding(problem)
+
+
+@given(problems(), st.sampled_from([2.0**-40, 0.5, 8.0, 2.0**40]))
+def test_scaling_both_weights_scales_cost_and_bound(problem, factor):
+    scaled = replace(problem, alpha=factor * problem.alpha, beta=factor * problem.beta)
+    one, other = ms.solve(problem), ms.solve(scaled)
+    # A power of two changes no digit, so only the tolerances could tell the two apart.
+    assert abs(other.cost - factor * one.cost) <= factor * rounding(problem)
+    assert abs(other.lower_bound - factor * one.lower_bound) <= factor * rounding(problem)
+
+
+@given(problems(), st.floats(-3, 3))
+def test_shifting_every_price_shifts_the_total(problem, shift):
+    finite = problem.model_cost[np.isfinite(problem.model_cost)]
+    shift *= max(1.0, float(np.abs(finite).max()))
+    shifted = replace(problem, model_cost=problem.model_cost + shift)
+    moved = problem.beta * shift * len(problem.mean)
+    tolerance = rounding(problem) + rounding(shifted)
+    assert abs(ms.solve(shifted).cost - ms.solve(problem).cost - moved) <= tolerance
+
+
+@settings(max_examples=10)
+@given(st.integers(0, 10**6))
+def test_larger_budgets_never_worsen_the_answer(seed):
+    problem = known_suite(seed, H=16, W=4, p=2)
+    for solver, budget in ((ms.dynamic_program, "max_labels"), (ms.branch_and_bound, "max_nodes")):
+        answers = [solver(problem, **{budget: size}) for size in (1, 8, 64, 512)]
+        costs = [answer.cost for answer in answers]
+        gaps = [answer.gap for answer in answers]
+        assert costs == sorted(costs, reverse=True)
+        assert gaps == sorted(gaps, reverse=True)
+
+
+@given(problems())
+def test_optimum_does_not_exceed_any_constant_schedule(problem):
+    H, W, _ = problem.mean.shape
+    constant = np.repeat(np.arange(W)[:, None], H, axis=1)
+    assert ms.solve(problem).cost <= problem.total_cost(constant).min() + rounding(problem)
+
+
+# ------------------------------------------------------------------------------- limits, edges
+
+
+def test_too_many_schedules_are_refused_by_the_exhaustive_solvers():
+    problem = known_suite(0, H=30)
+    for solver in (ms.enumerate_schedules, ms.plain_dynamic_program):
+        with pytest.raises(ValueError, match=r"^problem: expected at most \d+ .*, found 4\^30"):
+            solver(problem)
+
+
+@pytest.mark.parametrize(
+    ("solver", "option", "value", "message"),
+    [
+        (ms.solve, "time_limit", -1, "time_limit: expected a number >= 0"),
+        (ms.solve, "gap", np.nan, "gap: expected finite numbers"),
+        (ms.solve, "max_labels", 0, "max_labels: expected an integer >= 1"),
+        (ms.dynamic_program, "max_labels", 1.5, "max_labels: expected an integer >= 1"),
+        (ms.branch_and_bound, "max_nodes", 0, "max_nodes: expected an integer >= 1"),
+        (ms.branch_and_bound, "time_limit", "soon", "time_limit: expected real numbers"),
+        (ms.relax, "gap", -1, "gap: expected a number >= 0"),
+        (ms.relax, "max_iterations", 0, "max_iterations: expected an integer >= 1"),
+    ],
+)
+def test_limits_are_checked_at_the_door(solver, option, value, message):
+    with pytest.raises(ValueError, match=f"^{message}"):
+        solver(known_suite(0, H=3), **{option: value})
+
+
+def test_one_step_and_one_model():
+    one = SelectionProblem([[2.0]], [[[3.0]]], [[[0.5]]], [7.0])
+    for solver in EXACT + INEXACT:
+        schedule = solver(one)
+        assert schedule.cost == 2 * 9 + 2 * 0.5 + 7
+        assert schedule.choices.tolist() == [0]
+        assert schedule.is_optimal
+
+
+def test_a_time_limit_returns_the_best_so_far_with_a_true_bound():
+    # p = 2, random signs, low-rank Psi: no solver here proves this one in the time it has.
+    problem = known_suite(0, H=60, W=8, p=2, rank=8)
+    problem = replace(problem, variance=0 * problem.variance, model_cost=np.arange(8.0))
+    schedule = ms.solve(problem, time_limit=0.5)
+    assert schedule.root_bound <= schedule.lower_bound < schedule.cost
+    assert schedule.gap > 1e-9
+    assert not schedule.is_optimal
+    assert schedule.cost <= ms.round_and_swap(problem).cost
+
+
+def test_schedule_gap_is_relative_to_the_larger_of_cost_and_bound():
+    one = ms.solve(known_suite(0, H=3))
+    assert replace(one, cost=2.0, lower_bound=1.0).gap == 0.5
+    assert replace(one, cost=1.0, lower_bound=-4.0).gap == 1.25
+    assert replace(one, cost=0.0, lower_bound=0.0).gap == 0.0
+    assert one.choices.flags.writeable is False
