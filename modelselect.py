@@ -1057,6 +1057,64 @@ def project_to_simplex(points: Array) -> Array:
     return np.maximum(points - np.take_along_axis(thresholds, positive - 1, axis=-1), 0)
 
 
+def projected_gradient(
+    evaluate: Callable[[Array], tuple[float, float, Array]],
+    project: Callable[[Array], Array],
+    start: Array,
+    step: Array,
+    gap: float,
+    max_iterations: int,
+) -> tuple[Array, int]:
+    """Minimise a convex quadratic over a simple set by Nesterov's accelerated projected gradient.
+
+    From a point beyond the last two iterates, step against the gradient and project.  The
+    gradient is affine, so its value beyond is extrapolated rather than computed.  Momentum is
+    dropped whenever it points uphill (O'Donoghue and Candes 2015).
+
+    Parameters
+    ----------
+    evaluate : callable
+        Point -> (value, lower bound on the minimum, gradient).
+    project : callable
+        Any array -> the nearest point of the set.
+    start : ndarray
+        A point of the set.
+    step : ndarray
+        Step lengths, at most 1/L in the metric in which `project` projects.
+    gap : float
+        Stop when value and bound agree to this fraction.
+    max_iterations : int
+        Stop after this many steps in any case.
+
+    Returns
+    -------
+    point : ndarray
+        The last iterate.
+    iterations : int
+        Steps taken.
+
+    Raises
+    ------
+    ValueError
+        A `gap` or `max_iterations` out of range.
+    """
+    gap = check_number("gap", gap, minimum=0)
+    x = older = start
+    value, bound, slope = evaluate(x)
+    older_slope, momentum = slope, 1.0
+    for iteration in range(check_count("max_iterations", max_iterations)):
+        if value - bound <= gap * max(abs(value), abs(bound)):
+            return x, iteration
+        faster = (1 + math.sqrt(1 + 4 * momentum**2)) / 2
+        beyond = (momentum - 1) / faster
+        ahead = x + beyond * (x - older)
+        new = project(ahead - step * (slope + beyond * (slope - older_slope)))
+        uphill = ((ahead - new) / step * (new - x)).sum() > 0
+        older, older_slope, x, momentum = x, slope, new, 1.0 if uphill else faster
+        value, bound, slope = evaluate(x)
+    return x, max_iterations
+
+
 def relax(
     problem: SelectionProblem, *, gap: float = 1e-6, max_iterations: int = 20_000
 ) -> Relaxation:
@@ -1067,8 +1125,7 @@ def relax(
 
     Step t moves by its own 1/L_t, which tames a Psi of many magnitudes: with centred means D_t
     (on the simplex only differences between models matter), L_t = 2 L trace(D_t'M_tt D_t) and L
-    the largest eigenvalue of the Hessian so scaled.  Momentum follows Nesterov and is dropped
-    whenever it points uphill.
+    the largest eigenvalue of the Hessian so scaled.  See `projected_gradient`.
 
     Parameters
     ----------
@@ -1089,8 +1146,6 @@ def relax(
     ValueError
         A `gap` or `max_iterations` out of range.
     """
-    gap = check_number("gap", gap, minimum=0)
-    max_iterations = check_count("max_iterations", max_iterations)
     H, _, p = problem.mean.shape
     allowed = np.isfinite(problem.linear)
     D = (problem.mean - problem.mean.mean(axis=1, keepdims=True)) * allowed[..., None]
@@ -1105,22 +1160,17 @@ def relax(
     largest = max(1, la.eigvalsh(scale[:, None] * M * scale)[-1])
     step = 1 / (2 * largest * size)[:, None]
 
-    b = allowed / allowed.sum(axis=1, keepdims=True)
-    point, G = _relaxed(problem, problem.linear, b, 0)
-    older, older_G, momentum = b, G, 1.0
-    for iteration in range(1, max_iterations + 1):
-        if point.gap <= gap:
-            break
-        faster = (1 + math.sqrt(1 + 4 * momentum**2)) / 2
-        carry = (momentum - 1) / faster
-        with np.errstate(invalid="ignore"):
-            target = b + carry * (b - older) - step * (G + carry * (G - older_G))
-        shunned = np.where(allowed, target, np.inf).min(axis=1, keepdims=True) - 2
-        new = project_to_simplex(np.where(allowed, target, shunned))
-        uphill = ((b + carry * (b - older) - new) / step * (new - b)).sum() > 0
-        older, older_G, b, momentum = b, G, new, 1.0 if uphill else faster
-        point, G = _relaxed(problem, problem.linear, b, iteration)
-    return point
+    def project(b: Array) -> Array:
+        shunned = np.where(allowed, b, np.inf).min(axis=1, keepdims=True) - 2
+        return project_to_simplex(np.where(allowed, b, shunned))
+
+    def evaluate(b: Array) -> tuple[float, float, Array]:
+        point, G = _relaxed(problem, problem.linear, b, 0)
+        return point.value, point.bound, np.where(allowed, G, 0)
+
+    start = allowed / allowed.sum(axis=1, keepdims=True)
+    b, iterations = projected_gradient(evaluate, project, start, step, gap, max_iterations)
+    return _relaxed(problem, problem.linear, b, iterations)[0]
 
 
 def relax_interior_point(
@@ -1709,3 +1759,286 @@ def solve(
     best = min(decoded, searched, key=lambda schedule: schedule.cost)
     bound = max(decoded.lower_bound, searched.lower_bound)
     return replace(best, lower_bound=min(best.cost, bound))
+
+
+# ---------------------------------------------------------- what biased and noisy models cost
+
+
+class ErrorCost(NamedTuple):
+    """What each model would cost the controller if it ran at every step (see `error_cost`)."""
+
+    mean_square: Array  #: (W,), mean squared error per step: what model cards print
+    uncoupled: Array  #: (W,), sum_t trace(Psi_tt E[e_t e_t']): what follows from squared errors
+    bias: Array  #: (W,), mu'Psi mu
+    noise: Array  #: (W,), sum_t trace(Psi_tt Sigma_t)
+
+
+def error_cost(problem: SelectionProblem) -> ErrorCost:
+    """Split the control cost of each model into bias and noise, beside its mean squared error.
+
+    Noise costs what its square says: ``noise`` is part of ``uncoupled``.  A bias also meets
+    itself at other steps, through the blocks Psi_tk: it costs more than its square where the
+    products add up and less where they cancel, so two models of equal squared error can differ
+    either way.  bias + noise is the control term; uncoupled alone is what greedy selection sees.
+
+    Parameters
+    ----------
+    problem : SelectionProblem
+        Any suite, with its Psi.
+
+    Returns
+    -------
+    ErrorCost
+        Four arrays (W,); unweighted by alpha, perception cost left out.
+    """
+    H, W, _ = problem.mean.shape
+    always = np.repeat(np.arange(W)[:, None], H, axis=1)
+    noise = problem.spread.sum(axis=0)
+    own = np.einsum("twi,tij,twj->w", problem.mean, problem.blocks, problem.mean)
+    variance = problem.variance
+    if variance.ndim == 4:
+        variance = np.diagonal(variance, axis1=-2, axis2=-1)
+    mean_square = (problem.mean**2 + variance).sum(axis=-1).mean(axis=0)
+    return ErrorCost(mean_square, own + noise, problem.control_term(always) - noise, noise)
+
+
+def correlated_cost(
+    problem: SelectionProblem,
+    choices: npt.ArrayLike,
+    covariance: Callable[[int, int, int, int], npt.ArrayLike],
+) -> float:
+    """Return the exact expected total cost of a schedule whose errors are correlated over time.
+
+    alpha (mu_c'Psi mu_c + sum_{t,k} sum(Psi_tk * Cov[e_t, e_k])) + beta sum_t kappa[t, w_t]: an
+    extension of ``eq:expTmp1``, whose assumption of independence keeps the terms t = k only.
+
+    Parameters
+    ----------
+    problem : SelectionProblem
+        The problem; its `variance` is not used.
+    choices : array_like of int, (H,)
+        Model of every step.
+    covariance : callable
+        covariance(t, w, k, v) -> (p, p), or a number where p = 1: the covariance of model w's
+        error at step t with model v's error at step k.
+
+    Returns
+    -------
+    float
+        The expected total cost.
+
+    Raises
+    ------
+    ValueError
+        A wrong shape, or a covariance over all steps that is not positive semidefinite.
+    """
+    H, W, p = problem.mean.shape
+    c = _check_choices(choices, H, W)
+    blocks = [
+        [np.reshape(covariance(t, c[t], k, c[k]), (p, p)) for k in range(H)] for t in range(H)
+    ]
+    joint = check_array("covariance", np.block(blocks), "pH pH", (p * H, p * H))
+    check_semidefinite("covariance", joint)
+    independent = problem.alpha * problem.spread[np.arange(H), c].sum()
+    return float(problem.total_cost(c) - independent + (problem.quadratic * joint).sum())
+
+
+# ----------------------------------------------------------------- continuous choices (IV)
+
+
+@dataclass(frozen=True, eq=False)
+class BlendProblem:
+    """Blend the worst and the best model by c_t in [0, 1]: the paper's Problem 4.
+
+    Source: ``prob:model_selection_expectation_cont``.
+    Mean, variance and cost of the blend are (1 - c_t) times the worst model's plus c_t times the
+    best one's (``eq:perModelExpCont``, ``eq:perModelVarCont``).  In canonical form
+    (``opt:canonical``) the expected total is f(c) = c'Psi'c + linear'c + constant with
+    Psi' = alpha D'Psi D, where column t of D (pH, H) holds delta_t = mu[t, best] - mu[t, worst].
+    Psi' is positive semidefinite for every suite, as x'Psi'x = alpha |(Dx)|_Psi^2: a convex
+    problem over a box.
+
+    Parameters
+    ----------
+    problem : SelectionProblem
+        Its model costs set the price of the best model; both models available at every step.
+    worst, best : int
+        The two models blended.
+
+    Raises
+    ------
+    ValueError
+        A model that does not exist or is not available.
+    """
+
+    problem: SelectionProblem
+    worst: int = 0
+    best: int = -1
+
+    def __post_init__(self) -> None:
+        W = self.problem.mean.shape[1]
+        for name in ("worst", "best"):
+            w = check_count(name, getattr(self, name), minimum=-W)
+            if w >= W or not np.isfinite(self.problem.linear[:, w]).all():
+                raise ValueError(f"{name}: expected an available model of {W}, found {w}")
+            object.__setattr__(self, name, w)
+
+    @cached_property
+    def _differences(self) -> Array:
+        """D, (pH, H)."""
+        delta = self.problem.mean[:, self.best] - self.problem.mean[:, self.worst]
+        return np.asarray(la.block_diag(*delta[:, :, None]))
+
+    @cached_property
+    def quadratic(self) -> Array:
+        """Psi', (H, H)."""
+        D = self._differences
+        return np.asarray(D.T @ self.problem.quadratic @ D)
+
+    @cached_property
+    def linear(self) -> Array:
+        """Linear term of f, (H,)."""
+        mu, ell = self.problem.mean[:, self.worst].ravel(), self.problem.linear
+        pull = 2 * self._differences.T @ self.problem.quadratic @ mu
+        return np.asarray(pull + ell[:, self.best] - ell[:, self.worst])
+
+    @cached_property
+    def constant(self) -> float:
+        """f(0): the worst model throughout."""
+        return float(
+            self.problem.total_cost(
+                np.full(len(self.linear), self.worst % self.problem.mean.shape[1])
+            )
+        )
+
+    def total_cost(self, blend: npt.ArrayLike) -> Any:
+        """Return f(c) of blends (..., H)."""
+        c = check_array("blend", blend, "... H", (len(self.linear),))
+        return ((c @ self.quadratic) * c).sum(axis=-1) + c @ self.linear + self.constant
+
+
+class Blend(NamedTuple):
+    """A solution of a `BlendProblem` with its certificate."""
+
+    choices: Array  #: (H,), c_t in [0, 1]
+    cost: float  #: f(c)
+    lower_bound: float  #: f(c) minus the duality gap
+    iterations: int  #: gradient steps taken
+
+
+def solve_blend(
+    blend: BlendProblem, *, gap: float = OPTIMALITY_GAP, max_iterations: int = 100_000
+) -> Blend:
+    """Minimise f over the box by projected gradient (``sol:model_selection_expectation_cont``).
+
+    By convexity f(v) >= f(c) + f'(c)(v - c) for all v; minimised over the box this gives the
+    bound f(c) - sum_t max over v in {0, 1} of f'_t(c)(c_t - v), the duality gap of Frank and Wolfe.
+
+    Parameters
+    ----------
+    blend : BlendProblem
+        The problem.
+    gap : float
+        Stop when the duality gap is this fraction of the cost.
+    max_iterations : int
+        Stop after this many steps in any case.
+
+    Returns
+    -------
+    Blend
+        The blend, its cost and a lower bound on the optimum.
+
+    Raises
+    ------
+    ValueError
+        A `gap` or `max_iterations` out of range.
+    """
+    M, g = blend.quadratic, blend.linear
+    scale = np.where(M.diagonal() > 0, M.diagonal(), np.where(g != 0, np.abs(g), 1)) ** -0.5
+    step = scale**2 / (2 * max(1, la.eigvalsh(scale[:, None] * M * scale)[-1]))
+
+    def evaluate(c: Array) -> tuple[float, float, Array]:
+        slope, cost = 2 * M @ c + g, float(blend.total_cost(c))
+        return cost, cost - float(np.maximum(slope * c, slope * (c - 1)).sum()), slope
+
+    def project(c: Array) -> Array:
+        return np.clip(c, 0, 1)
+
+    half = np.full(len(g), 0.5)
+    c, iterations = projected_gradient(evaluate, project, half, step, gap, max_iterations)
+    return Blend(c, *evaluate(c)[:2], iterations)
+
+
+def sdp_blocks(blend: BlendProblem, theta: float, choices: npt.ArrayLike) -> list[Array]:
+    """Build the blocks of the paper's semidefinite programme (``opt:sdp``, corrected).
+
+    With Psi' = N'N, f(c) <= theta and 0 <= c <= 1 hold exactly where every block is positive
+    semidefinite: [1 - c_t], [c_t], and the Schur complement [[I, Nc], [c'N', theta - linear'c -
+    constant]].  Min theta subject to them is the value of `solve_blend`.
+
+    Parameters
+    ----------
+    blend : BlendProblem
+        The problem.
+    theta : float
+        Claimed upper bound on f(c).
+    choices : array_like, (H,)
+        The blend c.
+
+    Returns
+    -------
+    list of ndarray
+        2H blocks (1, 1), then one (H+1, H+1).
+
+    Raises
+    ------
+    ValueError
+        A wrong shape or a number that is not finite.
+    """
+    H = len(blend.linear)
+    c = check_array("choices", choices, "H", (H,))
+    N = _block_root(blend.quadratic[None])[0].T
+    corner = check_number("theta", theta) - blend.linear @ c - blend.constant
+    schur = np.block([[np.eye(H), (N @ c)[:, None]], [N @ c, np.array([corner])]])
+    return [np.array([[x]]) for x in (*(1 - c), *c)] + [schur]
+
+
+# --------------------------------------------------------------------- why it is hard (Remark)
+
+
+def partition_problem(integers: Sequence[int], information: str = "open_loop") -> SelectionProblem:
+    """Turn a PARTITION instance into a model selection problem: the paper's open question.
+
+    One integrator x_{t+1} = x_t + u_t + s_t with R = 1, Q = 0, Q_final = 1 has Psi = g 11' with
+    g = H/(1+H) (``open_loop``; for ``preview`` only u_0 acts and g = 1/2).  Let model 0 err by
+    +a_t and model 1 by -a_t at step t.  A schedule costs g (sum_t +-a_t)^2 plus less than g / 2
+    for perception, so the optimum is below g exactly if the integers split into two halves of
+    equal sum: model selection is NP-hard (weakly: with offsets so few, `dynamic_program` is
+    pseudo-polynomial here).
+
+    Parameters
+    ----------
+    integers : sequence of int
+        Positive integers a_0..a_{H-1}.
+    information : str
+        ``open_loop`` or ``preview``; under the other patterns steps decouple.
+
+    Returns
+    -------
+    SelectionProblem
+        H steps, two models.
+
+    Raises
+    ------
+    ValueError
+        An entry that is not a positive integer, or another pattern.
+    """
+    a = [check_count("integers", value) for value in integers]
+    H = check_count("len(integers)", len(a))
+    if information not in ("open_loop", "preview"):
+        raise ValueError(f"information: expected open_loop or preview, found {information!r}")
+    one, B = np.ones((1, 1)), np.ones((H, 1, 1))
+    B[1:] = 0 if information == "preview" else 1
+    task = ControlTask(one, B, one, 0 * one, one, H, Q_final=one)
+    mean = np.stack([a, np.negative(a)], axis=1)[:, :, None]
+    return SelectionProblem(psi(task, information), mean, 0 * mean, np.array([0, 1 / (8 * H)]))
