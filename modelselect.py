@@ -37,6 +37,19 @@ reference, d        -               (pH,)                perception  (ours: the 
 
 A vector over time is flattened with entry r of step t at index t*p + r.  Inside functions the
 paper's letters are used, unpacked in the first lines.
+
+Examples
+--------
+An integrator that plans ahead, one model that is off by 1, one that costs 2 a step:
+
+>>> import numpy as np
+>>> one = np.eye(1)
+>>> task = ControlTask(A=one, B=one, C=one, Q=one, R=one, horizon=4)
+>>> mean = np.tile([[1.0], [0.0]], (4, 1, 1))
+>>> problem = SelectionProblem(psi(task), mean, 0 * mean, model_cost=[0, 2])
+>>> schedule = solve(problem)
+>>> schedule.choices, schedule.is_optimal
+(array([1, 1, 1, 0]), True)
 """
 
 from __future__ import annotations
@@ -72,6 +85,17 @@ SHIFT = 1e-9
 # ----------------------------------------------------------------------------- the checker
 
 
+def as_numbers(name: str, value: npt.ArrayLike) -> npt.NDArray[Any]:
+    """Return `value` as an array of real numbers of any shape, or raise ValueError saying why."""
+    try:
+        raw = np.asarray(value)
+    except ValueError:
+        raise ValueError(f"{name}: expected a rectangular array, found ragged sequences") from None
+    if raw.dtype.kind not in "biuf":
+        raise ValueError(f"{name}: expected real numbers, found dtype {raw.dtype}")
+    return raw
+
+
 def check_array(
     name: str, value: npt.ArrayLike, axes: str, sizes: Sequence[int | None], *, finite: bool = True
 ) -> Array:
@@ -95,12 +119,7 @@ def check_array(
     ValueError
         Naming the argument, what was expected and what was found.
     """
-    try:
-        raw = np.asarray(value)
-    except ValueError:
-        raise ValueError(f"{name}: expected a rectangular array, found ragged sequences") from None
-    if raw.dtype.kind not in "biuf":
-        raise ValueError(f"{name}: expected real numbers, found dtype {raw.dtype}")
+    raw = as_numbers(name, value)
     letters = axes.replace("...", "").split()
     found = raw.shape[max(0, raw.ndim - len(letters)) :] if "..." in axes else raw.shape
     fits = len(found) == len(letters) and all(
@@ -119,6 +138,10 @@ def check_array(
     array = np.array(raw, dtype=np.float64)
     if np.isnan(array).any() or (finite and np.isinf(array).any()):
         raise ValueError(f"{name}: expected finite numbers, found NaN or infinity")
+    return _read_only(array)
+
+
+def _read_only(array: npt.NDArray[Any]) -> npt.NDArray[Any]:
     array.flags.writeable = False
     return array
 
@@ -134,7 +157,7 @@ def check_number(name: str, value: Any, *, minimum: float = -math.inf) -> float:
 def check_count(name: str, value: Any, *, minimum: int = 1) -> int:
     """Return `value` as an int of at least `minimum`, or raise ValueError saying why."""
     number = check_number(name, value)
-    if isinstance(value, bool | np.bool_) or number != int(number) or number < minimum:
+    if np.asarray(value).dtype == bool or number != int(number) or number < minimum:
         raise ValueError(f"{name}: expected an integer >= {minimum}, found {value!r}")
     return int(number)
 
@@ -153,8 +176,8 @@ def check_semidefinite(name: str, matrices: Array, *, definite: bool = False) ->
             f"symmetrise it first: ({name} + {name}.T) / 2"
         )
     smallest = np.linalg.eigvalsh(matrices)[..., 0]
-    bad = smallest <= 0 if definite else smallest < -MATRIX_TOLERANCE * size
-    if np.any(bad):
+    rounding = MATRIX_TOLERANCE * size
+    if np.any(smallest <= rounding if definite else smallest < -rounding):
         kind = "positive definite" if definite else "positive semidefinite"
         raise ValueError(
             f"{name}: expected a {kind} matrix, found smallest eigenvalue {smallest.min():.3g}"
@@ -163,7 +186,7 @@ def check_semidefinite(name: str, matrices: Array, *, definite: bool = False) ->
 
 def check_information(information: str) -> None:
     """Raise ValueError unless `information` names one of the four patterns."""
-    if information not in INFORMATION:
+    if not isinstance(information, str) or information not in INFORMATION:
         raise ValueError(
             f"information: expected one of {', '.join(INFORMATION)}, found {information!r}"
         )
@@ -216,19 +239,18 @@ class ControlTask:
 
     def __post_init__(self) -> None:
         H = check_count("horizon", self.horizon)
-        n, m, p = (np.shape(value)[-1:] or (None,) for value in (self.A, self.B, self.C))
-        axes = {"A": ("n n", (*n, *n)), "B": ("n m", (*n, *m)), "C": ("n p", (*n, *p))}
-        axes |= {"Q": ("n n", (*n, *n)), "R": ("m m", (*m, *m))}
+        raw = {name: as_numbers(name, getattr(self, name)) for name in "ABCQR"}
+        n, m, p = ((raw[name].shape[-1:] or (None,))[0] for name in "ABC")
+        sizes = {"H": H, "n": n, "m": m, "p": p}
         checked: dict[str, Any] = {"horizon": H}
-        for name, (letters, sizes) in axes.items():
-            value = getattr(self, name)
-            if np.ndim(value) == 3:
-                letters, sizes = "H " + letters, (H, *sizes)
-            checked[name] = check_array(name, value, letters, sizes)
+        for name, axes in {"A": "n n", "B": "n m", "C": "n p", "Q": "n n", "R": "m m"}.items():
+            axes = "H " + axes if raw[name].ndim == 3 else axes
+            lengths = [sizes[letter] for letter in axes.split()]
+            checked[name] = check_array(name, raw[name], axes, lengths)
         if self.Q_final is None and checked["Q"].ndim == 3:
             raise ValueError("Q_final: required when Q varies with time, found None")
         final = checked["Q"] if self.Q_final is None else self.Q_final
-        checked["Q_final"] = check_array("Q_final", final, "n n", (*n, *n))
+        checked["Q_final"] = check_array("Q_final", final, "n n", (n, n))
         check_semidefinite("Q", checked["Q"])
         check_semidefinite("Q_final", checked["Q_final"])
         check_semidefinite("R", checked["R"], definite=True)
@@ -295,15 +317,15 @@ def riccati(task: ControlTask) -> Riccati:
     with np.errstate(over="ignore", invalid="ignore"):
         for t in reversed(range(H)):
             S[t] = R[t] + B[t].T @ P[t + 1] @ B[t]
-            if not np.isfinite(S[t]).all():
-                raise ValueError(
-                    f"task: the cost-to-go overflows at step {t} of {H}; a mode of A that the "
-                    "control cannot reach grows too fast: shorten the horizon or rescale"
-                )
             K[t] = np.linalg.solve(S[t], B[t].T @ P[t + 1] @ A[t])
             closed_loop[t] = A[t] - B[t] @ K[t]
             P[t] = Q[t] + A[t].T @ P[t + 1] @ closed_loop[t]
             P[t] = (P[t] + P[t].T) / 2
+            if not (np.isfinite(P[t]).all() and np.isfinite(S[t]).all()):
+                raise ValueError(
+                    f"task: the cost-to-go overflows at step {t} of {H}; a mode of A that the "
+                    "control cannot reach grows too fast: shorten the horizon or rescale"
+                )
     return Riccati(P, S, K, closed_loop)
 
 
@@ -464,6 +486,10 @@ def control_cost(task: ControlTask, states: npt.ArrayLike, controls: npt.ArrayLi
     H = task.horizon
     x = check_array("states", states, "... H+1 n", (H + 1, task.n))[..., 1:, :]
     u = check_array("controls", controls, "... H m", (H, task.m))
+    if u.shape[:-2] != x.shape[:-2]:
+        raise ValueError(
+            f"controls: expected the leading axes of states, {x.shape[:-2]}, found {u.shape[:-2]}"
+        )
     _, _, _, Q, R = task.over_time()
     return np.einsum("...ti,tij,...tj->...", x, Q[1:], x) + np.einsum(
         "...ti,tij,...tj->...", u, R, u
@@ -500,11 +526,15 @@ def psi(task: ControlTask, information: str = "open_loop") -> Array:
         An unknown pattern, or dynamics so unstable that Psi is out of reach of double precision.
     """
     check_information(information)
-    if information in ("causal", "measurement"):
-        return np.asarray(la.block_diag(*_diagonal_blocks(task, information)))
-    Y = _open_loop_factor(task) if information == "open_loop" else _preview_factor(task)
-    Psi = Y.T @ Y
-    return np.asarray((Psi + Psi.T) / 2)
+    with np.errstate(over="ignore", invalid="ignore"):
+        if information in ("causal", "measurement"):
+            Psi = la.block_diag(*_diagonal_blocks(task, information))
+        else:
+            Y = _open_loop_factor(task) if information == "open_loop" else _preview_factor(task)
+            Psi = (Y.T @ Y + (Y.T @ Y).T) / 2
+    if not np.isfinite(Psi).all():
+        raise ValueError("task: Psi overflows; rescale the costs or C, or shorten the horizon")
+    return np.asarray(Psi)
 
 
 def _open_loop_factor(task: ControlTask) -> Array:
@@ -516,14 +546,13 @@ def _open_loop_factor(task: ControlTask) -> Array:
     A, B, C, Q, R = task.over_time()
     H, n, m, p = task.horizon, task.n, task.m, task.p
     M, N = np.zeros((H, n, H, m)), np.zeros((H, n, H, p))
-    with np.errstate(over="ignore", invalid="ignore"):
-        for t in range(H):
-            if t > 0:
-                M[t], N[t] = (np.tensordot(A[t], Z[t - 1], axes=1) for Z in (M, N))
-            M[t, :, t], N[t, :, t] = B[t], C[t]
-        QM = np.matmul(Q[1:], M.reshape(H, n, H * m)).reshape(H * n, H * m)
-        K = la.block_diag(*R) + QM.T @ M.reshape(H * n, H * m)
-        L = QM.T @ N.reshape(H * n, H * p)
+    for t in range(H):
+        if t > 0:
+            M[t], N[t] = (np.tensordot(A[t], Z[t - 1], axes=1) for Z in (M, N))
+        M[t, :, t], N[t, :, t] = B[t], C[t]
+    QM = np.matmul(Q[1:], M.reshape(H, n, H * m)).reshape(H * n, H * m)
+    K = la.block_diag(*R) + QM.T @ M.reshape(H * n, H * m)
+    L = QM.T @ N.reshape(H * n, H * p)
     try:
         G = la.cholesky((K + K.T) / 2, lower=True)
         return np.asarray(la.solve_triangular(G, L, lower=True))
@@ -543,12 +572,11 @@ def _preview_factor(task: ControlTask) -> Array:
     _, B, C, _, _ = task.over_time()
     H, n, m, p = task.horizon, task.n, task.m, task.p
     law = riccati(task)
-    Y, g = np.zeros((H, m, H * p)), np.zeros((n, H * p))
+    Y, h = np.zeros((H, m, H * p)), np.zeros((n, H * p))
     for t in reversed(range(H)):
-        h = g
         h[:, t * p : (t + 1) * p] = law.P[t + 1] @ C[t]
-        Y[t] = la.solve_triangular(la.cholesky(law.S[t], lower=True), B[t].T @ h, lower=True)
-        g = law.closed_loop[t].T @ h
+        Y[t] = np.linalg.solve(np.linalg.cholesky(law.S[t]), B[t].T @ h)
+        h = np.asarray(law.closed_loop[t].T @ h)
     return Y.reshape(H * m, H * p)
 
 
@@ -556,9 +584,8 @@ def _diagonal_blocks(task: ControlTask, information: str) -> Array:
     """Psi_tt = (K_t C)'S_t(K_t C) for ``measurement``, C'P B S_t^{-1}B'P C for ``causal``."""
     _, B, C, _, _ = task.over_time()
     law = riccati(task)
-    if information == "measurement":
-        pull = law.K @ C
-    else:
+    pull: npt.NDArray[Any] = law.K @ C
+    if information == "causal":
         pull = np.linalg.solve(law.S, np.swapaxes(B, -1, -2) @ law.P[1:] @ C)
     blocks = np.swapaxes(pull, -1, -2) @ law.S @ pull
     return np.asarray((blocks + np.swapaxes(blocks, -1, -2)) / 2)
@@ -621,7 +648,7 @@ def one_hot(choices: npt.ArrayLike, models: int) -> Array:
         A choice that is not an integer in 0..W-1.
     """
     W = check_count("models", models)
-    c = _check_choices(choices, np.shape(choices)[-1] if np.ndim(choices) else 0, W)
+    c = _check_choices(choices, None, W)
     return np.asarray(np.eye(W)[c])
 
 
@@ -648,7 +675,7 @@ def from_one_hot(weights: npt.ArrayLike) -> Choices:
     return np.asarray(b.argmax(axis=1))
 
 
-def _check_choices(choices: npt.ArrayLike, H: int, W: int) -> Choices:
+def _check_choices(choices: npt.ArrayLike, H: int | None, W: int) -> Choices:
     """Return choices (..., H) as integers, or raise ValueError."""
     c = check_array("choices", choices, "... H", (H,))
     if np.any((c != np.floor(c)) | (c < 0) | (c >= W)):
@@ -693,14 +720,16 @@ class SelectionProblem:
     beta: float = 1.0
 
     def __post_init__(self) -> None:
-        Psi = check_array("psi", self.psi, "pH pH", np.shape(self.psi)[-1:] * 2)
-        shape = np.shape(self.mean)
+        names = ("psi", "mean", "variance", "model_cost")
+        raw = {name: as_numbers(name, getattr(self, name)) for name in names}
+        Psi = check_array("psi", raw["psi"], "pH pH", 2 * (raw["psi"].shape[-1:] or (None,)))
+        shape = raw["mean"].shape
         p = shape[-1] if len(shape) == 3 and shape[-1] and len(Psi) % shape[-1] == 0 else 1
         mean = check_array("mean", self.mean, "H W p", (len(Psi) // p, None, p))
         H, W, _ = mean.shape
-        axes = "H W p p" if np.ndim(self.variance) == 4 else "H W p"
+        axes = "H W p p" if raw["variance"].ndim == 4 else "H W p"
         variance = check_array("variance", self.variance, axes, (H, W, p, p)[: len(axes.split())])
-        axes = "H W" if np.ndim(self.model_cost) == 2 else "W"
+        axes = "H W" if raw["model_cost"].ndim == 2 else "W"
         cost = check_array(
             "model_cost", self.model_cost, axes, (H, W)[-len(axes.split()) :], finite=False
         )
@@ -721,26 +750,26 @@ class SelectionProblem:
     @cached_property
     def quadratic(self) -> Array:
         """alpha Psi, (pH, pH)."""
-        return self.alpha * self.psi
+        return _read_only(self.alpha * self.psi)
 
     @cached_property
     def blocks(self) -> Array:
         """Diagonal blocks Psi_tt, (H, p, p)."""
         H, _, p = self.mean.shape
-        return self.psi.reshape(H, p, H, p)[np.arange(H), :, np.arange(H)]
+        return _read_only(self.psi.reshape(H, p, H, p)[np.arange(H), :, np.arange(H)])
 
     @cached_property
     def spread(self) -> Array:
         """What the variances add to the control term, trace(Psi_tt Sigma[t,w]), (H, W)."""
         over = "tij,twji->tw" if self.variance.ndim == 4 else "tii,twi->tw"
-        return np.asarray(np.einsum(over, self.blocks, self.variance))
+        return _read_only(np.einsum(over, self.blocks, self.variance))
 
     @cached_property
     def linear(self) -> Array:
         """Linear cost l[t,w] = alpha trace(Psi_tt Sigma[t,w]) + beta kappa[t,w], (H, W)."""
         unavailable = np.isinf(self.model_cost)  # also where beta = 0
         priced = self.beta * np.where(unavailable, 0, self.model_cost)
-        return self.alpha * self.spread + np.where(unavailable, np.inf, priced)
+        return _read_only(self.alpha * self.spread + np.where(unavailable, np.inf, priced))
 
     def chosen_mean(self, choices: npt.ArrayLike) -> Array:
         """Stack the mean errors mu_c of schedules (..., H) into vectors (..., pH)."""
@@ -873,15 +902,13 @@ def check_certificate(problem: SelectionProblem, schedule: Schedule) -> float:
     ValueError
         If the schedule does not state this bound and its own cost (up to rounding).
     """
-    bound, reduced = reference_bound(problem, schedule.reference)
-    cost = float(problem.total_cost(schedule.choices))
-    # total(c) - LB(d) is a sum of non-negative terms; its size is what rounding is relative to.
-    scale = max(abs(cost), abs(bound), float(reduced[np.isfinite(reduced)].sum()))
-    for name, stated, found in (
-        ("cost", schedule.cost, cost),
-        ("root_bound", schedule.root_bound, bound),
-    ):
-        if not abs(stated - found) <= 1e-9 * scale:
+    bound, _ = reference_bound(problem, schedule.reference)
+    cost, d = float(problem.total_cost(schedule.choices)), schedule.reference
+    # Rounding is relative to the largest terms that the two are summed from.
+    scale = max(abs(cost), abs(bound), float(d @ problem.quadratic @ d))
+    claims = (("cost", schedule.cost, cost), ("root_bound", schedule.root_bound, bound))
+    for name, stated, found in claims:
+        if not (math.isfinite(found) and abs(stated - found) <= 1e-9 * scale):
             raise ValueError(f"schedule.{name}: expected {found!r}, found {stated!r}")
     return bound
 
@@ -898,8 +925,7 @@ def _certified(
     **work: Any,
 ) -> Schedule:
     """Make a Schedule: the root bound from the reference, the better of it and `proved`."""
-    c = np.array(choices, dtype=np.intp)
-    c.flags.writeable = False
+    c = _read_only(np.array(choices, dtype=np.intp))
     cost, root = float(problem.total_cost(c)), reference_bound(problem, reference)[0]
     return Schedule(c, cost, min(cost, max(root, proved)), root, reference, solver, work)
 

@@ -193,6 +193,16 @@ def stacked(task, start=0):
     )
 
 
+def idle_size(task, x0, *signals):
+    """Norms multiplied: what doing nothing can cost, to which rounding in any cost is relative.
+
+    A cost is far smaller where the states cancel, as they do in singular tasks of whole numbers.
+    """
+    F, _, N, Q, _ = (np.linalg.norm(matrix, 2) for matrix in stacked(task))
+    reach = F * np.linalg.norm(x0) + N * sum(np.sqrt(np.square(s).sum()) for s in signals)
+    return Q * reach**2
+
+
 def dense_plan(task, x, s, start=0):
     """u = -K^{-1} M'Q-bar (F x + N s) from step `start` on, as (H - start, m)."""
     F, M, N, Q, R = stacked(task, start)

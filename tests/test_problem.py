@@ -24,7 +24,7 @@ from modelselect import (
     run_controller,
 )
 
-from strategies import SEEDS, cases, every_schedule, gram, problems, sign_patterns
+from strategies import SEEDS, cases, every_schedule, gram, idle_size, problems, sign_patterns
 
 # Sums of a few dozen products: exact up to this fraction of their largest terms.
 ROUNDING = 1e-11
@@ -218,17 +218,30 @@ def test_the_control_term_is_the_mean_over_sampled_normal_errors():
 # ------------------------------------------------------------------------- theorems of the paper
 
 
-def rolled_out(task, x0, s, problem, information):
-    """alpha J + beta J_per of every schedule, with J by simulation; s may hold equal draws."""
-    schedules = every_schedule(problem)
-    steps = np.arange(task.horizon)
-    totals = []
-    for choices in schedules:
+def simulated_totals(task, x0, s, problem, information):
+    """alpha J + beta J_per of every schedule, with J by simulation, averaged over the draws in s."""
+    steps, totals = np.arange(task.horizon), []
+    for choices in every_schedule(problem):
         errors = problem.mean[steps, choices]
         J = np.mean(control_cost(task, *run_controller(task, x0, s, s + errors, information)))
         perception = sum(kappa(problem, t, w) for t, w in enumerate(choices))
         totals.append(problem.alpha * J + problem.beta * perception)
-    return schedules, np.array(totals)
+    return np.array(totals)
+
+
+def ranks_alike(task, x0, s, problem, information):
+    """Whether simulated and expected totals differ by alpha J(u*) and share their argmin."""
+    totals = problem.total_cost(every_schedule(problem))
+    simulated = simulated_totals(task, x0, s, problem, information)
+    right = run_controller(task, x0, s, s, information)
+    constant = problem.alpha * np.mean(control_cost(task, *right))
+    # Regrets are what is left of large costs: relative to these, and to all that cancels in them.
+    tolerance = 1e-9 * (simulated.max() + totals.max())
+    tolerance += ROUNDING * idle_size(task, x0, s, problem.mean)
+    return (
+        np.abs(simulated - totals - constant).max() <= tolerance
+        and simulated[totals.argmin()] <= simulated.min() + tolerance
+    )
 
 
 def known_errors(task, information, seed):
@@ -248,25 +261,14 @@ def test_simulation_and_objective_rank_all_schedules_alike_for_every_initial_sta
     task, (_, s, _) = case
     problem, starts = known_errors(task, information, seed)
     for x0 in starts:
-        schedules, simulated = rolled_out(task, x0, s, problem, information)
-        totals = problem.total_cost(schedules)
-        constant = problem.alpha * control_cost(task, *run_controller(task, x0, s, s))
-        size = np.abs(simulated).max() + np.abs(totals).max()  # J is what the differences cancel
-        assert np.abs(simulated - totals - constant).max() <= 1e-9 * size
-        assert simulated[totals.argmin()] <= simulated.min() + 1e-9 * size
+        assert ranks_alike(task, x0, s, problem, information)
 
 
 @given(cases(max_horizon=2, max_p=2), st.sampled_from(("causal", "measurement")), SEEDS)
 def test_in_expectation_they_rank_alike_without_a_forecast_too(case, information, seed):
     task, (x0, s, _) = case
     problem, _ = known_errors(task, information, seed)
-    s = s * sign_patterns(*s.shape)
-    schedules, simulated = rolled_out(task, x0, s, problem, information)
-    totals = problem.total_cost(schedules)
-    right = run_controller(task, x0, s, s, information)
-    constant = problem.alpha * np.mean(control_cost(task, *right))
-    size = np.abs(simulated).max() + np.abs(totals).max()
-    assert np.abs(simulated - totals - constant).max() <= 1e-9 * size
+    assert ranks_alike(task, x0, s * sign_patterns(*s.shape), problem, information)
 
 
 def best_of_each_step(problem):
@@ -789,8 +791,9 @@ def test_a_prior_mean_is_for_the_causal_pattern_alone(information):
     )
 
 
-@pytest.mark.parametrize("v", np.random.default_rng(0).normal(size=(20, 2)), ids=str)
-def test_a_rank_one_r_is_singular_even_where_rounding_makes_its_eigenvalue_positive(v):
+@pytest.mark.parametrize("seed", range(20))
+def test_a_rank_one_r_is_singular_even_where_rounding_makes_its_eigenvalue_positive(seed):
+    v = np.random.default_rng(seed).normal(size=2)
     message = "R: expected a positive definite matrix"
     refused(lambda: called("ControlTask", R=np.outer(v, v)), message)
 

@@ -20,10 +20,9 @@ from modelselect import (
     run_controller,
 )
 
-from strategies import SEEDS, at, cases, sign_patterns, stacked, tasks
+from strategies import SEEDS, at, cases, idle_size, sign_patterns, stacked, tasks
 
-# A regret by roll-out is a difference of two costs: exact up to this fraction of their sum, and of
-# |Psi| |e|^2, from which e'Psi e cancels where e is near the null space of Psi.
+# A regret by roll-out is a difference of two costs: exact up to this fraction of their sum.
 REGRET = 1e-9
 # Psi made in two ways: sums of products, exact up to this fraction of `psi_size`.
 ROUNDING = 1e-11
@@ -60,8 +59,8 @@ def regret_is_quadratic(task, x0, s, errors, information, prior_mean=None):
         control_cost(task, *run_controller(task, x0, s, s_hat, information, prior_mean))
         for s_hat in (s + errors, s)
     )
-    size = np.mean(wrong + right) + np.linalg.norm(Psi) * (errors**2).sum()
-    return abs(np.mean(wrong - right) - quadratic(Psi, errors)) <= REGRET * size
+    tolerance = REGRET * np.mean(wrong + right) + ROUNDING * idle_size(task, x0, s, errors)
+    return abs(np.mean(wrong - right) - quadratic(Psi, errors)) <= tolerance
 
 
 # --------------------------------------------------------------------- what Psi is, by roll-out
