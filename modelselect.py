@@ -78,8 +78,6 @@ MATRIX_TOLERANCE = 1e-12
 OPTIMALITY_GAP = 1e-9
 # The exact solvers treat costs as equal that differ by less than this fraction.
 ROUNDING = 1e-10
-# Share of its diagonal by which a possibly singular Psi is shifted to factor it: see `_triangle`.
-SHIFT = 1e-9
 
 
 # ----------------------------------------------------------------------------- the checker
@@ -997,9 +995,9 @@ def solve_separable(problem: SelectionProblem) -> Schedule:
 def is_separable(problem: SelectionProblem) -> bool:
     """Whether no mean error at one step meets one at another step through Psi."""
     H, _, p = problem.mean.shape
-    felt = problem.alpha * np.abs(problem.mean).max(axis=1).ravel()
-    coupling = (np.abs(problem.psi) * felt[:, None] * felt).reshape(H, p, H, p).sum(axis=(1, 3))
-    return bool(np.count_nonzero(coupling) == np.count_nonzero(coupling.diagonal()))
+    felt = (problem.mean != 0).any(axis=1).ravel() & (problem.alpha != 0)
+    meets = ((problem.psi != 0) & felt[:, None] & felt).reshape(H, p, H, p).any(axis=(1, 3))
+    return not (meets & ~np.eye(H, dtype=bool)).any()
 
 
 def stepwise_cost(problem: SelectionProblem) -> Array:
@@ -1366,17 +1364,20 @@ class _Triangle(NamedTuple):
     U: Array  #: (pH, pH), upper triangular
 
 
-def _triangle(problem: SelectionProblem, reference: Array) -> _Triangle:
+def _triangle(problem: SelectionProblem, reference: Array, budget: float = 0.0) -> _Triangle:
     """Factor alpha Psi + shift = U'U and take the shift out of the reduced costs again.
 
     A diagonal shift s adds sum_r s_r e_r^2, which depends on one step's model only, so it can
-    be subtracted there: the identity stays exact, and a singular Psi has a Cholesky factor.
+    be subtracted there: the identity stays exact, and a singular Psi has a Cholesky factor.  The
+    bound loses a little; we spend a hundredth of the budget on a factor with small errors.
     """
     H, _, p = problem.mean.shape
     bound, reduced = reference_bound(problem, reference)
     deviation = problem.mean - reference.reshape(H, 1, p)
     diagonal = problem.quadratic.diagonal()
-    shift = SHIFT * diagonal + MATRIX_TOLERANCE * diagonal.sum() + np.finfo(float).tiny
+    most = (deviation**2).max(axis=1).ravel() @ diagonal
+    share = min(1e-6, budget / 100 / max(most, np.finfo(float).tiny))
+    shift = share * diagonal + MATRIX_TOLERANCE * diagonal.sum() + np.finfo(float).tiny
     reduced = reduced - np.einsum("twi,ti->tw", deviation**2, shift.reshape(H, p))
     lowest = reduced.min(axis=1)
     U = la.cholesky(problem.quadratic + np.diag(shift))
@@ -1430,18 +1431,19 @@ def plain_dynamic_program(problem: SelectionProblem, *, max_labels: int = 2**18)
     )
 
 
-def _compress(U: Array, size: Array, p: int) -> list[tuple[Array, Array, Array]]:
+def _compress(triangle: _Triangle, least: float) -> list[tuple[Array, Array, Array]]:
     """Coordinates for offsets: (read, carry, push) of each step.
 
     The offset on the rows before step t lies in the range of U[:tp, tp:], whose rank is small
     (n or 2n).  With an orthonormal basis V_t of it, coordinates y_t = V_t'offset keep all
     distances, and choosing e at step t gives y_t = carry y_{t+1} + push e; read y_{t+1} is the
-    offset on the rows of step t itself.  `size` (pH,) is the range of e, so that directions are
-    dropped by what they could ever cost, relative to all there is.
+    offset on the rows of step t itself.  Directions are dropped where no choice of e can give
+    an offset of `least`.
     """
-    H = len(U) // p
+    _, _, deviation, U = triangle
+    H, _, p = deviation.shape
+    size = np.abs(deviation).max(axis=1).ravel()
     steps: list[tuple[Array, Array, Array]] = [None] * H  # type: ignore[list-item]
-    smallest = 1e-10 * float((la.norm(U, axis=0) * size).max())
     basis = scaled = np.zeros((H * p, 0))
     for t in reversed(range(H)):
         rows, before = slice(t * p, (t + 1) * p), slice(0, t * p)
@@ -1449,7 +1451,7 @@ def _compress(U: Array, size: Array, p: int) -> list[tuple[Array, Array, Array]]
         V, strength, _ = la.svd(
             np.hstack([scaled[before], column * size[rows]]), full_matrices=False
         )
-        V = V[:, strength > smallest]
+        V = V[:, strength > least]
         steps[t] = (basis[rows], V.T @ basis[before], V.T @ column)
         basis, scaled = V, V * strength[: V.shape[1]]
     return steps
@@ -1471,17 +1473,20 @@ def _undominated(
     """
     alive = np.arange(len(extra))
     hashing = np.cumprod(np.full(y.shape[1], 0x9E3779B97F4A7C15, dtype=np.uint64))
-    for halvings in (0, 2, 4, 6, 8, 10, 24):  # the last merges what differs by rounding
+    for halvings in (0, 2, 4, 6, 24):  # the last merges what differs by rounding
         if len(alive) < 2 or expired():
             break
         width = math.sqrt(budget) / 2**halvings
         corner = np.floor(y[alive] / width + 0.618 * halvings)  # shifted: cells share no borders
         cell = corner.astype(np.int64).astype(np.uint64) @ hashing
-        _, first, member = np.unique(cell, return_index=True, return_inverse=True)
-        i, j = alive[first[member]], alive
+        order = np.argsort(cell)
+        starts = np.flatnonzero(np.append(True, np.diff(cell[order]) != 0))
+        cheapest = np.minimum.reduceat(order, starts)
+        i = alive[np.repeat(cheapest, np.diff(np.append(starts, len(order))))]
+        j = alive[order]
         rho2 = ((y[i] - y[j]) ** 2).sum(axis=1)
         reach = 2 * np.sqrt(rho2 * np.maximum(budget - extra[j], 0))
-        alive = alive[(i == j) | (extra[i] + reach + rho2 > extra[j] + slack)]
+        alive = np.sort(j[(i == j) | (extra[i] + reach + rho2 > extra[j] + slack)])
     kept = np.zeros(len(extra), dtype=bool)
     kept[alive] = True
     return kept
@@ -1510,9 +1515,9 @@ def dynamic_program(
     that a cheaper label at nearly the same offset dominates (`_undominated`).  What remains is
     a handful of labels, though the worst case is exponential: the problem is NP-hard.
 
-    Passes widen: at most 64 labels a step, then 4096, then `max_labels`.  A pass that had to
-    drop labels proves the least extra cost it dropped; one that did not is a proof of optimality
-    (up to `ROUNDING`); and a better schedule found early shrinks the budget of the next pass.
+    A narrow pass with 64 labels a step, then one with `max_labels`.  A pass that had to drop
+    labels proves the least extra cost it dropped; one that did not is a proof of optimality (up
+    to `ROUNDING`); and a better schedule found by the first shrinks the budget of the second.
 
     Parameters
     ----------
@@ -1542,15 +1547,17 @@ def dynamic_program(
     relaxation = relax_interior_point(problem) if relaxation is None else relaxation
     first = round_and_swap(problem, relaxation)
     best, cost, proved = first.choices, first.cost, first.root_bound
-    triangle = _triangle(problem, relaxation.reference)
-    range_of_e = np.abs(triangle.deviation).max(axis=1).ravel()
-    steps = _compress(triangle.U, range_of_e, problem.mean.shape[2])
+    triangle = _triangle(problem, relaxation.reference, cost - proved)
+    negligible = _rounding(problem, relaxation.reference)
+    steps = None
     labels, passes = np.zeros(len(problem.mean), dtype=int), 0
-    for width in sorted({min(64, widest), min(4096, widest), widest}):
+    for width in sorted({min(64, widest), widest}):
         if cost - proved <= gap * max(abs(cost), abs(proved)) or (passes and expired()):
             break
-        slack = ROUNDING * max(abs(cost), abs(proved)) + _rounding(problem, relaxation.reference)
+        slack = ROUNDING * max(abs(cost), abs(proved)) + negligible
         budget = cost - triangle.bound + slack
+        # An offset wrong by x changes a tail of cost q by at most 2 x sqrt(q) + x^2.
+        steps = steps or _compress(triangle, slack / (2 * math.sqrt(budget * len(labels))))
         found, missed, labels = _decode(triangle, steps, budget, slack, width, expired)
         passes += 1
         if found is not None:
@@ -1592,7 +1599,7 @@ def _decode(
         felt = ((y @ read.T)[:, None] + own) ** 2
         grown = extra[:, None] + reduced[t, models] + felt.sum(axis=-1)
         parent, child = np.nonzero(grown <= budget)
-        order = np.argsort(grown[parent, child], kind="stable")
+        order = np.argsort(grown[parent, child])
         parent, child = parent[order], child[order]
         extra = grown[parent, child]
         y = (y @ carry.T)[parent] + (deviation[t, models] @ push.T)[child]

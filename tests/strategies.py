@@ -170,19 +170,18 @@ def stacked(task, start=0):
     """F, M, N, Q-bar, R-bar of (x_{start+1}, .., x_H) = F x_start + M u + N s, block by block."""
     steps = range(start, task.horizon)
 
-    def carry(first, last):  # A_{last-1} ... A_first: x_first to x_last
-        matrix = np.eye(task.n)
-        for t in range(first, last):
-            matrix = at(task.A, t) @ matrix
-        return matrix
+    def carried(first, matrix):  # what enters x_{first+1} as `matrix`, in x_{first+1} .. x_H
+        column = [matrix]
+        for t in range(first + 1, task.horizon):
+            column.append(at(task.A, t) @ column[-1])
+        return column
 
     def response(Z):
         zero = np.zeros(Z.shape[-2:])
-        return np.block(
-            [[carry(k + 1, t + 1) @ at(Z, k) if k <= t else zero for k in steps] for t in steps]
-        )
+        columns = [[zero] * (k - start) + carried(k, at(Z, k)) for k in steps]
+        return np.hstack([np.vstack(column) for column in columns])
 
-    F = np.vstack([carry(start, t + 1) for t in steps])
+    F = np.vstack(carried(start, at(task.A, start)))
     weights = block_diag(*(weight(task, t + 1) for t in steps))
     return (
         F,

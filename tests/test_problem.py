@@ -219,7 +219,7 @@ def test_the_control_term_is_the_mean_over_sampled_normal_errors():
 
 
 def simulated_totals(task, x0, s, problem, information):
-    """alpha J + beta J_per of every schedule, with J by simulation, averaged over the draws in s."""
+    """alpha J + beta J_per of every schedule, J by simulation and averaged over the draws in s."""
     steps, totals = np.arange(task.horizon), []
     for choices in every_schedule(problem):
         errors = problem.mean[steps, choices]

@@ -191,8 +191,9 @@ def test_triangle_restates_the_cost_exactly(problem, seed):
 @pytest.mark.parametrize(("p", "rank"), [(1, None), (2, None), (2, 5), (3, 2)])
 def test_compressed_offsets_keep_their_lengths(p, rank):
     problem = known_suite(5, H=10, p=p, rank=rank)
-    e, U = ms._triangle(problem, np.zeros(10 * p))[2:]
-    steps = ms._compress(U, np.abs(e).max(axis=1).ravel(), p)
+    triangle = ms._triangle(problem, np.zeros(10 * p))
+    steps = ms._compress(triangle, least=1e-9)
+    e, U = triangle.deviation, triangle.U
     chosen = e[np.arange(10), np.random.default_rng(1).integers(0, 4, 10)]
     y, offset = np.zeros(0), np.zeros(10 * p)
     for t in reversed(range(10)):

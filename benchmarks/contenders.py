@@ -1,0 +1,288 @@
+"""The solvers that meet in peers.py, each a function of a problem and a time limit.
+
+Run as a script, this solves one problem in a process of its own:
+
+    python contenders.py '{"solver": "ours", "file": "problem.npz", "limit": 60, "repeat": 5}'
+
+General solvers work to absolute tolerances around 1e-6.  They are given the problem in units in
+which the cost of our first schedule and the largest bias of every step are 1.  Their time is that
+of the call to optimise; building the model is not counted.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from time import perf_counter
+from typing import Any, NamedTuple
+
+import numpy as np
+import scipy.linalg as la
+import scipy.sparse as sparse
+
+from measure import peak_memory
+from modelselect import (
+    OPTIMALITY_GAP,
+    Schedule,
+    SelectionProblem,
+    branch_and_bound,
+    check_certificate,
+    enumerate_schedules,
+    round_and_swap,
+    solve,
+)
+
+
+class Attempt(NamedTuple):
+    """What a solver says: recomputing the cost is left to the caller."""
+
+    choices: np.ndarray | None  #: (H,), none found if None
+    bound: float  #: its lower bound
+    seconds: float
+    closed: bool  #: whether it claims a proof, by its own tolerances
+    status: str
+
+
+# ------------------------------------------------------------------------------ our solvers
+
+
+def _ours(solver: Callable[..., Schedule], problem: SelectionProblem, **limits: Any) -> Attempt:
+    started = perf_counter()
+    schedule = solver(problem, **limits)
+    took = perf_counter() - started
+    check_certificate(problem, schedule)
+    status = "optimal" if schedule.is_optimal else "time limit"
+    return Attempt(schedule.choices, schedule.lower_bound, took, schedule.is_optimal, status)
+
+
+def ours(problem: SelectionProblem, limit: float) -> Attempt:
+    return _ours(solve, problem, time_limit=limit)
+
+
+def tree(problem: SelectionProblem, limit: float) -> Attempt:
+    return _ours(branch_and_bound, problem, time_limit=limit)
+
+
+def enumeration(problem: SelectionProblem, limit: float) -> Attempt:
+    """Knows no time limit; ask only where W^H is small."""
+    return _ours(enumerate_schedules, problem)
+
+
+# ----------------------------------------------------- the problem in units of size one
+
+
+class Scaled(NamedTuple):
+    """min d'Qd + l.b, d_t = sum_w b[t,w] mu[t,w], times `unit`."""
+
+    Q: np.ndarray  #: (pH, pH)
+    mean: np.ndarray  #: (H, W, p), largest entry of each step and component 1
+    linear: np.ndarray  #: (H, W)
+    unit: float  #: cost of one
+
+
+def scaled(problem: SelectionProblem) -> Scaled:
+    size = np.abs(problem.mean).max(axis=1, keepdims=True)
+    size[size == 0] = 1
+    unit = round_and_swap(problem).cost or 1.0
+    Q = problem.quadratic / unit * size.ravel()[:, None] * size.ravel()
+    return Scaled(Q, problem.mean / size, problem.linear / unit, unit)
+
+
+def triangular_factor(Q: np.ndarray) -> np.ndarray:
+    """U with Q = U'U, upper triangular, also for singular Q."""
+    values, V = la.eigh(Q)
+    kept = values > 1e-12 * values[-1]
+    return la.qr((V[:, kept] * np.sqrt(values[kept])).T, mode="r")[0]
+
+
+# -------------------------------------------------------------------------------------- SCIP
+
+
+def scip_cone(problem: SelectionProblem, limit: float) -> Attempt:
+    """SCIP, one cone: min theta + l.b with |z|^2 <= theta, z = U d."""
+    return _scip(problem, limit, split=False)
+
+
+def scip_split(problem: SelectionProblem, limit: float) -> Attempt:
+    """SCIP, a parabola for each z: min sum theta_k + l.b with z_k^2 <= theta_k, z = U d."""
+    return _scip(problem, limit, split=True)
+
+
+def _scip(problem: SelectionProblem, limit: float, *, split: bool) -> Attempt:
+    from pyscipopt import Model
+
+    easy, model = scaled(problem), Model()
+    model.hideOutput()
+    model.setParams({"limits/time": limit, "limits/gap": OPTIMALITY_GAP})
+    b = _scip_model(model, easy, split)
+    started = perf_counter()
+    model.optimize()
+    took = perf_counter() - started
+    status, choices = model.getStatus(), None
+    if model.getNSols():
+        best = model.getBestSol()
+        choices = np.array([[best[x] for x in row] for row in b]).argmax(axis=1)
+    bound = model.getDualbound() if model.getDualbound() > -model.infinity() else -np.inf
+    closed = status in ("optimal", "gaplimit")
+    return Attempt(choices, bound * easy.unit, took, closed, status)
+
+
+def _scip_model(model: Any, easy: Scaled, split: bool) -> list[list[Any]]:
+    """State the problem in SCIP's variables; return the binaries b[t][w]."""
+    from pyscipopt import quicksum
+
+    H, W, p = easy.mean.shape
+    b = [[model.addVar(vtype="B", obj=easy.linear[t, w]) for w in range(W)] for t in range(H)]
+    d = [model.addVar(lb=-1, ub=1) for _ in range(H * p)]
+    for t in range(H):
+        model.addCons(quicksum(b[t]) == 1)
+        for i in range(p):
+            means = (easy.mean[t, w, i] * b[t][w] for w in range(W))
+            model.addCons(quicksum(means) == d[t * p + i])
+    z = []
+    for row in triangular_factor(easy.Q):
+        z.append(model.addVar(lb=None))
+        model.addCons(quicksum(row[k] * d[k] for k in np.flatnonzero(row)) == z[-1])
+    for part in ([x] for x in z) if split else [z]:
+        theta = model.addVar(obj=1)
+        model.addCons(quicksum(x * x for x in part) <= theta)
+    return b
+
+
+# ------------------------------------------------------------------------------------ Gurobi
+
+
+def gurobi(problem: SelectionProblem, limit: float) -> Attempt:
+    """Gurobi on min d'Qd + l.b; its free licence holds 200 variables with a quadratic term."""
+    import gurobipy
+
+    try:
+        return _gurobi(problem, limit)
+    except gurobipy.GurobiError as refusal:
+        return Attempt(None, -np.inf, np.nan, False, str(refusal))
+
+
+def _gurobi(problem: SelectionProblem, limit: float) -> Attempt:
+    import gurobipy
+
+    easy = scaled(problem)
+    H, W, p = easy.mean.shape
+    with gurobipy.Env(params={"OutputFlag": 0}) as env, gurobipy.Model(env=env) as model:
+        model.setParam("Threads", 1)
+        model.setParam("MIPGap", OPTIMALITY_GAP)
+        model.setParam("TimeLimit", limit)
+        b = model.addMVar((H, W), vtype=gurobipy.GRB.BINARY)
+        d = model.addMVar((H, p), lb=-1, ub=1)
+        model.addConstr(b.sum(axis=1) == 1)
+        for i in range(p):
+            model.addConstr((b * easy.mean[:, :, i]).sum(axis=1) == d[:, i])
+        flat = d.reshape(-1)
+        model.setObjective(flat @ easy.Q @ flat + (b * easy.linear).sum())
+        started = perf_counter()
+        model.optimize()
+        took = perf_counter() - started
+        choices = b.X.argmax(axis=1) if model.SolCount else None
+        closed = model.Status == gurobipy.GRB.OPTIMAL
+        status = "optimal" if closed else f"status {model.Status}"
+        return Attempt(choices, model.ObjBound * easy.unit, took, closed, status)
+
+
+# -------------------------------------------------------------------------- scipy.optimize.milp
+
+
+def linearised(problem: SelectionProblem, limit: float) -> Attempt:
+    """HiGHS, which has no MIQPs: a variable y for each product of two binaries.
+
+    Instead of McCormick's y <= b_i, y <= b_j, y >= b_i + b_j - 1, we state what implies them
+    (Adams and Sherali 1986): for each binary i and each other step, sum_j y_ij = b_i.
+    """
+    from scipy.optimize import Bounds, LinearConstraint, milp
+
+    easy = scaled(problem)
+    H, W, _ = easy.mean.shape
+    cost, rows, right = _products(easy)
+    started = perf_counter()
+    result = milp(
+        cost,
+        integrality=np.arange(len(cost)) < H * W,
+        bounds=Bounds(0, 1),
+        constraints=LinearConstraint(rows, right, right),
+        options={"time_limit": limit, "mip_rel_gap": OPTIMALITY_GAP},
+    )
+    took = perf_counter() - started
+    choices = None if result.x is None else result.x[: H * W].reshape(H, W).argmax(axis=1)
+    bound = -np.inf if result.mip_dual_bound is None else result.mip_dual_bound * easy.unit
+    status = {0: "optimal", 1: "time limit"}.get(result.status, result.message)
+    return Attempt(choices, bound, took, result.status == 0, status)
+
+
+def _products(easy: Scaled) -> tuple[np.ndarray, sparse.csr_array, np.ndarray]:
+    """Costs, rows and right-hand sides over (b, y), y_ij for i < j at different steps."""
+    H, W, _ = easy.mean.shape
+    N = H * W
+    F = la.block_diag(*np.swapaxes(easy.mean, 1, 2))  # d = F b
+    Q = F.T @ easy.Q @ F
+    step = np.arange(N) // W
+    i, j = np.nonzero(step[:, None] < step)
+    y = N + np.arange(len(i))
+    cost = np.concatenate([easy.linear.ravel() + Q.diagonal(), 2 * Q[i, j]])
+    # Row H + i * H + s says: the y between binary i and step s add up to b_i.
+    here = [step, H + i * H + step[j], H + j * H + step[i]]
+    own, other = np.repeat(np.arange(N), H), np.tile(np.arange(H), N)
+    own, other = own[step[own] != other], other[step[own] != other]
+    row = np.concatenate([*here, H + own * H + other])
+    column = np.concatenate([np.arange(N), y, y, own])
+    value = np.concatenate([np.ones(N + 2 * len(y)), -np.ones(len(own))])
+    matrix = sparse.csr_array((value, (row, column)), shape=(H + N * H, N + len(y)))
+    used = np.diff(matrix.indptr) > 0
+    return cost, matrix[used], (np.arange(H + N * H) < H).astype(float)[used]
+
+
+# ------------------------------------------------------------------------- one measurement
+
+SOLVERS: dict[str, Callable[[SelectionProblem, float], Attempt]] = {
+    "solve": ours,
+    "branch_and_bound": tree,
+    "enumerate_schedules": enumeration,
+    "SCIP, one cone": scip_cone,
+    "SCIP, split": scip_split,
+    "Gurobi": gurobi,
+    "milp (HiGHS), linearised": linearised,
+}
+OURS = ("solve", "branch_and_bound", "enumerate_schedules")
+
+FIELDS = ("psi", "mean", "variance", "model_cost", "alpha", "beta")
+
+
+def store(problem: SelectionProblem, file: str) -> None:
+    np.savez(file, **{name: getattr(problem, name) for name in FIELDS})
+
+
+def load(file: str) -> SelectionProblem:
+    with np.load(file) as arrays:
+        return SelectionProblem(**{name: arrays[name] for name in FIELDS})
+
+
+def main() -> None:
+    request = json.loads(sys.argv[1])
+    problem = load(request["file"])
+    before, solver, runs = peak_memory(), SOLVERS[request["solver"]], []
+    for _ in range(request["repeat"]):
+        # A fresh copy: nothing that a run has cached helps the next one.
+        runs.append(solver(replace(problem), request["limit"]))
+    peak = peak_memory()
+    last, times = runs[-1], [run.seconds for run in runs]
+    answer = {"status": last.status, "closed": bool(last.closed), "memory": peak, "before": before}
+    if last.choices is not None:
+        answer |= {"choices": last.choices.tolist(), "cost": float(problem.total_cost(last.choices))}
+    if np.isfinite(last.bound):
+        answer["bound"] = float(last.bound)
+    if np.isfinite(times).all():
+        answer |= {"seconds": float(np.median(times)), "all_seconds": times}
+    print(json.dumps(answer))
+
+
+if __name__ == "__main__":
+    main()

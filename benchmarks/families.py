@@ -1,0 +1,71 @@
+"""The instances that are timed: families of selection problems, each drawn from a seed.
+
+`published` is the paper's first experiment.  The others land the textbook aircraft, named by what
+the controller knows and by the signs of the biases: all the `same`, one for each `model`, or one
+for each `step` and model.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from landing import cost_scale, preset
+from modelselect import ControlTask, SelectionProblem, psi
+from perception import PerceptionSuite, gaussian_suite
+
+ALPHA, BETA = 0.8, 0.2
+TEXTBOOK = tuple(f"{known}/{s}" for known in ("open_loop", "preview") for s in ("same", "model", "step"))
+FAMILIES = ("published", *TEXTBOOK)
+ONE_SIGN = ("published", "open_loop/same", "preview/same")
+MIXED_SIGNS = tuple(family for family in FAMILIES if family not in ONE_SIGN)
+
+# A bias in altitude (ft), in its rate (ft/s) and in pitch (rad); at 256 ft/s a pitch that is off
+# by 1/256 rad takes the aircraft off its path at 1 ft/s.
+UNITS = np.array([1, 1, 1 / 256])
+
+
+def task(family: str, H: int = 150, p: int = 1) -> tuple[ControlTask, str]:
+    """The task of a family, and what its controller knows."""
+    if family == "published":
+        return preset("published", H).task, "open_loop"
+    return replace(preset("textbook", H).task, C=np.eye(4)[:, :p]), family.split("/")[0]
+
+
+def instance(
+    family: str, seed: int, H: int = 150, W: int = 8, p: int = 1, Psi: np.ndarray | None = None
+) -> SelectionProblem:
+    """The problem that a family draws from a seed (`published`: W = 8 and p = 1 only)."""
+    Psi = psi(*task(family, H, p)) if Psi is None else Psi
+    rng = np.random.default_rng(seed)
+    if family == "published":
+        landing = preset("published", H)
+        suite, price = landing.draw_suite(rng), landing.upsilon
+    else:
+        suite = textbook_suite(family.split("/")[1], rng, H, W, p)
+        price = cost_scale(Psi, suite)
+    return SelectionProblem(Psi, suite.mean, suite.variance, price * suite.cost, ALPHA, BETA)
+
+
+def textbook_suite(
+    signs: str, rng: np.random.Generator, H: int, W: int, p: int
+) -> PerceptionSuite:
+    """`perception.textbook_suite`, its range of quality shared by W models, for p components."""
+    altitude = preset("textbook", H).path[:-1]
+    finer = 7 / (W - 1)
+    components = [
+        gaussian_suite(
+            lambda w, h: 1.5 * 0.6 ** (w * finer) * (0.3 + h / 100),
+            lambda w, h: 2.0 * 0.65 ** (w * finer) * (0.3 + h / 100),
+            np.arange(W),
+            altitude,
+            jitter=(0.2, 0.1),
+            signs=signs,
+            rng=rng,
+        )
+        for _ in range(p)
+    ]
+    mean = np.concatenate([suite.mean for suite in components], axis=2) * UNITS[:p]
+    variance = np.concatenate([suite.variance for suite in components], axis=2) * UNITS[:p] ** 2
+    return replace(components[0], mean=mean, variance=variance)

@@ -1,0 +1,615 @@
+"""The landing experiments, held to the published numbers, to first principles and to roll-outs."""
+
+import json
+import subprocess
+import sys
+from itertools import product
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+import numpy as np
+import pytest
+from matplotlib.colors import LogNorm
+from scipy.linalg import expm, logm
+
+import landing
+from landing import PRESETS, Settings, fly, main, pareto, preset, report, run_experiment, summary
+from modelselect import (
+    INFORMATION,
+    SelectionProblem,
+    check_certificate,
+    control_cost,
+    psi,
+    run_controller,
+    solve,
+)
+from perception import sample_errors
+
+POLICIES = [
+    *("Oracle", "Clairvoyant", "Optimal", "Best Single"),
+    *("Greedy", "Random", "All Large", "All Small"),
+]
+FEASIBLE = POLICIES[2:]
+SMALL = {"horizon": 12, "trials": 8}
+FIGURES = {"schedule", "costs", "rewards", "pareto", "landing", "efficientnet", "psi"}
+
+
+@pytest.fixture(scope="module")
+def published():
+    """The published experiment as `python landing.py` runs it."""
+    return run_experiment()
+
+
+@pytest.fixture(scope="module", params=list(PRESETS))
+def small(request):
+    return run_experiment(Settings(preset=request.param, **SMALL))
+
+
+# ------------------------------------------------------------------------------ the two aircraft
+
+
+def test_published_control_cost_without_inputs_is_that_of_the_log():
+    aircraft = preset("published")
+    s = np.zeros((150, 1))
+    x, u = run_controller(aircraft.task, aircraft.x0, s, s)
+    assert f"{control_cost(aircraft.task, x, u):.6e}" == "5.189117e+15"
+
+
+def test_published_dynamics_are_eulers_of_the_published_coefficients():
+    task, dt = preset("published").task, 0.01
+    K, T, z, w, V = -0.95, 2.5, 0.5, 1.0, 20.0
+    a42 = 1 / (V * T) - 2 * z * w / (V * T) + w**2 / V
+    rows = [
+        [0, 1, 0, 0],
+        [0, 1 / T, V / T, 0],
+        [0, 0, 0, 1],
+        [0, a42, 2 * z * w / T - w**2 - 1 / T**2, 1 / T - 2 * z * w],
+    ]
+    np.testing.assert_allclose((task.A - np.eye(4)) / dt, rows, rtol=1e-12, atol=1e-12)
+    np.testing.assert_allclose(task.B.ravel() / dt, [0, 0, 0, w**2 / K], rtol=1e-12)
+    np.testing.assert_array_equal(task.C.ravel(), [0, 0, 1, 0])
+
+
+@pytest.mark.parametrize("horizon", [150, 40])
+def test_textbook_dynamics_are_ellert_and_merriams_held_exactly(horizon):
+    aircraft = preset("textbook", horizon)
+    assert aircraft.dt == 20 / horizon
+    rows = [[0, 1, 0, 0], [0, -0.4, 102.4, 0], [0, 0, 0, 1], [0, 0.00296875, -0.76, -0.6]]
+    F, G = np.array(rows), np.array([[0], [0], [0], [-2.375]])
+    np.testing.assert_allclose(logm(aircraft.task.A).real / aircraft.dt, F, atol=1e-7)
+    held = expm(np.block([[F, G], [np.zeros((1, 5))]]) * aircraft.dt)
+    np.testing.assert_allclose(aircraft.task.B, held[:4, 4:], rtol=1e-9, atol=1e-12)
+
+
+def test_textbook_flies_down_the_glide_path():
+    path = preset("textbook").path
+    seconds = np.linspace(0, 20, 151)
+    np.testing.assert_allclose(path[seconds < 14.9], 100 * np.exp(-seconds[seconds < 14.9] / 5))
+    np.testing.assert_allclose(path[seconds > 15.1], 20 - seconds[seconds > 15.1], atol=1e-12)
+
+
+@pytest.mark.parametrize("name", PRESETS)
+def test_inputs_have_the_mean_that_a_causal_controller_is_told(name):
+    aircraft = preset(name, 5)
+    s = aircraft.draw_inputs(np.random.default_rng(1), 20_000)
+    assert s.shape == (20_000, 5, 1)
+    error = s.std(axis=0) / np.sqrt(len(s))
+    assert np.all(np.abs(s.mean(axis=0) - aircraft.prior_mean) < 5 * error)
+
+
+@pytest.mark.parametrize("information", INFORMATION)
+def test_textbook_price_follows_the_rule_whatever_the_weights(information):
+    runs = [
+        run_experiment(Settings("simulated", "textbook", information, 20, 1, alpha, beta))
+        for alpha, beta in ((0.8, 0.2), (0.3, 5.0))
+    ]
+    upsilon = runs[0].settings.upsilon
+    assert upsilon == runs[1].settings.upsilon > 0
+    harm = runs[0].problem.control_term(np.zeros(20))
+    assert 0.2 * upsilon * 7 * 20 == pytest.approx(0.2 * 0.8 * harm, rel=1e-12)
+    np.testing.assert_allclose(runs[0].suite.cost, upsilon * np.arange(8), rtol=1e-12)
+    over = run_experiment(Settings("simulated", "textbook", information, 20, 1, upsilon=3.5))
+    assert over.settings.upsilon == 3.5 and over.suite.cost[7] == 24.5
+
+
+# ----------------------------------------------------------------------- the published experiment
+
+
+def test_published_run_matches_the_log(published):
+    means, log = published.means(), landing.published_log(published.settings)
+    for policy, tolerance in (("All Small", 0.2), ("All Large", 0.005), ("Oracle", 1e-5)):
+        ours, theirs = means[policy]["control_cost"], log[policy]["control_cost"]
+        assert ours == pytest.approx(theirs, rel=tolerance)
+    assert means["All Large"]["perception_cost"] == log["All Large"]["perception_cost"] == 1.05e17
+
+
+@pytest.fixture(scope="module")
+def twenty_suites():
+    """Mean control costs (20, 2) of All Small and All Large, for 20 suites that are not seed 0."""
+    aircraft, costs = preset("published"), []
+    for seed in range(1, 21):
+        rng = np.random.default_rng(seed)
+        suite, s = aircraft.draw_suite(rng), aircraft.draw_inputs(rng, 20)
+        errors = sample_errors(suite, 20, rng)
+        flown = (fly(aircraft, "open_loop", s, errors, np.full(150, w)) for w in (0, 7))
+        costs.append([cost.mean() for _, cost in flown])
+    return np.array(costs)
+
+
+def expected_over_suites(aircraft, models):
+    """E over suites of the control cost of the smallest of some models that are left.
+
+    A model's mean is a sum of U(0, x), independent over steps: J(u*) + m^2 1'Psi 1 + v tr(Psi),
+    m = sum x / 2, and v = sum x^2 / 12 plus the expected variance of the error.
+    """
+    Psi, s = psi(aircraft.task), np.zeros((150, 1))
+    base = control_cost(aircraft.task, *run_controller(aircraft.task, aircraft.x0, s, s))
+    x = np.array([0.05, 0.1, 1, 4, 8, 12, 16, 16])[:models]
+    noise = np.array([0.3, 0.06, 0.08, 0.01, 0.02, 0.02, 0.03, 0.03])[:models]
+    spread = (x**2).sum() / 12 + noise.sum() / 2
+    return base + (x.sum() / 2) ** 2 * Psi.sum() + spread * np.trace(Psi)
+
+
+def test_mean_over_twenty_suites_is_that_of_the_published_generator(twenty_suites):
+    error = twenty_suites.std(axis=0, ddof=1) / np.sqrt(20)
+    mean = twenty_suites.mean(axis=0)
+    assert np.all(np.abs(mean - (4.93e17, 5.1907e15)) <= 2 * error)
+    exact = [expected_over_suites(preset("published"), models) for models in (8, 1)]
+    assert np.all(np.abs(mean - exact) <= 2 * error)
+    assert exact == pytest.approx([4.93e17, 5.1907e15], rel=5e-3)
+
+
+def test_optimal_is_proved_and_beats_every_feasible_policy(published):
+    optimal, rewards = published.optimal, published.flights
+    assert optimal.is_optimal and 0 <= optimal.gap <= 1e-9
+    check_certificate(published.problem, optimal)
+    for policy in FEASIBLE[1:]:
+        gains = rewards["Optimal"].reward - rewards[policy].reward
+        assert gains.mean() > 5 * gains.std() / 10, policy
+
+
+def test_claims_of_the_text_about_the_published_experiment(published):
+    assert 7 not in published.optimal.choices  # "b7 was never invoked"
+    assert np.all(np.diff(np.abs(published.suite.mean), axis=1) <= 0)
+    assert np.all(np.diff(published.suite.variance, axis=1) <= 0)
+
+
+@pytest.mark.parametrize(
+    ("offset", "quantity", "new", "old", "percent"),
+    [
+        (1, "control_cost", "Random", "Optimal", 567.38),
+        (1, "control_cost", "Optimal", "Random", -85.0),
+        (1, "perception_cost", "All Large", "Random", 80.72),
+        (0, "perception_cost", "All Large", "Random", 104.3),
+        (1, "perception_cost", "Optimal", "Random", -5.4),
+        (0, "perception_cost", "Optimal", "Random", -7.0),
+        (1, "reward", "All Large", "Optimal", -53.01),
+        (1, "reward", "Oracle", "Optimal", 77.4),
+    ],
+)
+def test_what_the_printed_percentages_are(offset, quantity, new, old, percent):
+    log = landing.published_log(Settings(upsilon=1e14), offset)
+    change = 100 * (log[new][quantity] - log[old][quantity]) / abs(log[old][quantity])
+    assert change == pytest.approx(percent, abs=0.06)
+
+
+def test_logged_rewards_are_those_that_the_authors_print():
+    log = landing.published_log(Settings(upsilon=1e14), offset=1)
+    printed = {
+        "Oracle": -4.151294e15,
+        "Optimal": -1.839953e16,
+        "Random": -5.225213e16,
+        "All Large": -2.815228e16,
+        "All Small": -3.962407e17,
+    }
+    for policy, reward in printed.items():
+        assert log[policy]["reward"] == pytest.approx(reward, rel=1e-6)
+
+
+def test_log_stands_only_beside_the_settings_it_belongs_to(published):
+    assert "567.18%" in report(published) and report(published).count("published") == 5
+    for other in (
+        *({"preset": "textbook"}, {"information": "preview"}, {"horizon": 149}),
+        *({"alpha": 0.5}, {"beta": 0.3}, {"upsilon": 2e14}),
+    ):
+        assert not landing.published_log(Settings(**{"upsilon": 1e14, **other}))
+    assert landing.published_log(Settings(upsilon=1e14, trials=3, seed=9))
+
+
+# ------------------------------------------------------------------------- policies and trials
+
+
+@pytest.mark.parametrize("horizon", [1, 2, 30])
+@pytest.mark.parametrize("information", INFORMATION)
+@pytest.mark.parametrize("name", PRESETS)
+def test_flown_costs_agree_with_the_problem(name, information, horizon):
+    """Psi, the expected cost and the controllers, together: flown in 400 trials, not computed."""
+    run = run_experiment(Settings("simulated", name, information, horizon, trials=400))
+    ideal = run.flights["Oracle"].control_cost
+    for policy in FEASIBLE:
+        _, _, control, perception, reward = run.flights[policy]
+        regret, choices = control - ideal, run.flights[policy].choices
+        expected = run.problem.control_term(choices)
+        error = regret.std(ddof=1) / np.sqrt(400) + 1e-12 * ideal.mean()
+        assert abs(regret.mean() - expected) <= 5 * error, policy
+        assert np.all(perception == run.problem.perception_term(choices))
+        np.testing.assert_allclose(reward, -0.8 * control - 0.2 * perception)
+
+
+@pytest.mark.parametrize("information", ["open_loop", "preview"])
+@pytest.mark.parametrize("name", PRESETS)
+def test_clairvoyant_is_best_in_every_single_trial(name, information):
+    run = run_experiment(Settings("simulated", name, information, 30, 30))
+    best = run.flights["Clairvoyant"].reward
+    for policy in FEASIBLE:
+        reward = run.flights[policy].reward
+        assert np.all(best >= reward - 1e-9 * np.abs(reward)), policy
+
+
+def test_clairvoyant_solves_each_trial_on_its_own_errors():
+    run = run_experiment(Settings(preset="textbook", horizon=4, trials=5, seed=3))
+    streams = np.random.default_rng(3).spawn(4)
+    errors = sample_errors(run.suite, 5, streams[2])
+    for e, choices in zip(errors, run.flights["Clairvoyant"].choices, strict=True):
+        known = SelectionProblem(run.problem.psi, e, np.zeros_like(e), run.suite.cost, 0.8, 0.2)
+        schedules = np.array(list(product(range(8), repeat=4)))
+        assert known.total_cost(choices) == pytest.approx(known.total_cost(schedules).min())
+
+
+def test_schedules_of_the_simple_policies(small):
+    flown, problem = small.flights, small.problem
+    assert list(flown) == POLICIES
+    assert np.all(flown["All Small"].choices == 0) and np.all(flown["All Large"].choices == 7)
+    totals = [problem.total_cost(np.full(12, w)) for w in range(8)]
+    assert np.all(flown["Best Single"].choices == np.argmin(totals))
+    assert flown["Random"].choices.shape == (12,)  # one schedule for all trials
+    for t, w in enumerate(flown["Greedy"].choices):
+        alone = [
+            0.8 * problem.psi[t, t] * (problem.mean[t, i, 0] ** 2 + problem.variance[t, i, 0])
+            + 0.2 * problem.model_cost[i]
+            for i in range(8)
+        ]
+        assert w == np.argmin(alone)
+    assert flown["Oracle"].choices is None and np.all(flown["Oracle"].perception_cost == 0)
+
+
+def test_separable_patterns_make_greedy_optimal():
+    for information in ("causal", "measurement"):
+        run = run_experiment(Settings("simulated", "textbook", information, **SMALL))
+        np.testing.assert_array_equal(run.flights["Greedy"].choices, run.flights["Optimal"].choices)
+
+
+def test_trials_meet_the_same_errors_and_more_trials_keep_the_first():
+    few, many = (run_experiment(Settings(horizon=12, trials=n)) for n in (3, 6))
+    np.testing.assert_array_equal(few.problem.mean, many.problem.mean)
+    for policy in POLICIES:
+        first = many.flights[policy].control_cost[:3]
+        np.testing.assert_allclose(few.flights[policy].control_cost, first, rtol=1e-12)
+
+
+def test_altitude_starts_where_the_aircraft_does(small):
+    start = {"published": 1000, "textbook": 105}[small.settings.preset]
+    for flown in small.flights.values():
+        assert flown.altitude.shape == (8, 13) and np.all(flown.altitude[:, 0] == start)
+
+
+@pytest.mark.parametrize("weights", [(0, 0.2), (0.8, 0), (0, 0)])
+def test_zero_weights(weights):
+    run = run_experiment(Settings(alpha=weights[0], beta=weights[1], **SMALL))
+    means = run.means()
+    assert max(means[p]["reward"] for p in FEASIBLE) == means["Optimal"]["reward"]
+    assert run.optimal.gap <= 1e-9
+    if weights[0] == 0 < weights[1]:
+        assert np.all(run.optimal.choices == 0)
+    assert "nan" not in report(run)
+
+
+@pytest.mark.parametrize(
+    ("setting", "message"),
+    [
+        ({"experiment": "no"}, "experiment: expected one of simulated, found 'no'"),
+        ({"preset": "no"}, "preset: expected one of published, textbook, found 'no'"),
+        ({"information": "no"}, "information: expected one of open_loop, preview, causal"),
+        ({"horizon": 0}, "horizon: expected an integer >= 1, found 0"),
+        ({"horizon": 1.5}, "horizon: expected an integer >= 1, found 1.5"),
+        ({"trials": 0}, "trials: expected an integer >= 1, found 0"),
+        ({"seed": -1}, "seed: expected an integer >= 0, found -1"),
+        ({"alpha": -1}, "alpha: expected a number >= 0, found -1"),
+        ({"alpha": None}, "alpha: expected"),
+        ({"beta": np.nan}, "beta: expected"),
+        ({"upsilon": np.inf}, "upsilon: expected"),
+    ],
+)
+def test_settings_are_checked(setting, message):
+    with pytest.raises(ValueError) as caught:
+        Settings(**setting)
+    assert str(caught.value).startswith(message)
+
+
+def test_preset_is_checked():
+    with pytest.raises(ValueError, match="preset: expected one of published, textbook"):
+        preset("no")
+    with pytest.raises(ValueError, match="horizon: expected an integer >= 1"):
+        preset("published", 0)
+
+
+# ----------------------------------------------------------------------------------- Pareto front
+
+
+def test_front_is_proved_and_reaches_both_ends(small):
+    problem = small.problem
+    ratio, optima = pareto(problem, 25)
+    c = np.array([optimum.choices for optimum in optima])
+    control, perception = problem.control_term(c), problem.perception_term(c)
+    assert len(ratio) == 25 and all(optimum.is_optimal for optimum in optima)
+    # A larger alpha : beta never costs more control, nor less perception.
+    assert np.all(np.diff(control) <= 1e-9 * control[:-1])
+    assert np.all(np.diff(perception) >= -1e-9 * perception.max())
+    best = solve(SelectionProblem(problem.psi, problem.mean, problem.variance, np.zeros(8)))
+    assert control[-1] <= 1.01 * best.cost * (1 + 1e-9)
+    assert perception[0] <= 0.01 * problem.perception_term(best.choices)
+
+
+def test_no_schedule_is_better_in_both_than_the_front():
+    run = run_experiment(Settings(preset="textbook", horizon=5, trials=1))
+    schedules = np.array(list(product(range(8), repeat=5)))
+    C, P = run.problem.control_term(schedules), run.problem.perception_term(schedules)
+    for optimum in pareto(run.problem, 10)[1]:
+        c, p = (f(optimum.choices) for f in (run.problem.control_term, run.problem.perception_term))
+        assert not np.any((C < c * (1 - 1e-9)) & (P <= p))
+
+
+def test_nothing_to_trade_makes_a_front_of_one_point():
+    run = run_experiment(Settings(horizon=1, trials=2))  # B'QC = 0: one step cannot err
+    assert run.problem.psi[0, 0] == 0
+    ratio, optima = pareto(run.problem)
+    assert len(ratio) == len(optima) == 1 and optima[0].cost == 0
+
+
+# --------------------------------------------------------------------------- report and JSON
+
+
+def test_intervals_are_students(small):
+    values = small.flights["Optimal"].control_cost
+    t = 2.364624251  # 97.5% quantile at 7 degrees of freedom, from a table
+    expected = t * values.std(ddof=1) / np.sqrt(8)
+    assert landing.half_width(values) == pytest.approx(expected, rel=1e-9)
+    assert np.isnan(landing.half_width(values[:1]))
+
+
+def test_summary_has_the_promised_keys(small):
+    found = json.loads(json.dumps(summary(small), allow_nan=False))
+    assert set(found) == {
+        *("policies", "schedule", "lower_bound", "gap", "solve_seconds", "settings")
+    }
+    assert list(found["policies"]) == POLICIES
+    for policy, row in found["policies"].items():
+        flown = small.flights[policy]
+        for quantity in ("control_cost", "perception_cost", "reward"):
+            values = getattr(flown, quantity)
+            assert isinstance(row[quantity], float) and row[quantity] == values.mean()
+            low, high = row[f"{quantity}_interval"]
+            assert low <= row[quantity] <= high
+            assert high - low == pytest.approx(2 * landing.half_width(values))
+    assert found["schedule"] == small.optimal.choices.tolist()
+    assert found["lower_bound"] <= small.optimal.cost and found["gap"] == small.optimal.gap
+    assert found["settings"]["upsilon"] == small.settings.upsilon > 0
+
+
+def test_report_names_what_it_shows(small):
+    text = report(small)
+    for policy in POLICIES:
+        assert f"\n{policy:12}" in text
+    assert "w * Upsilon" in text and "lower bound" in text and "proved optimal" in text
+    assert "(Optimal - Random) / |Random|" in text and "(Optimal - All Large) / |All Large|" in text
+    assert max(map(len, text.splitlines())) <= 110
+
+
+def test_a_single_trial_has_no_interval():
+    run = run_experiment(Settings(horizon=3, trials=1))
+    assert "± -" in report(run) and "nan" not in report(run)
+    rows = summary(run)["policies"].values()
+    assert all(row[key] is None for row in rows for key in row if key.endswith("interval"))
+
+
+# ------------------------------------------------------------------------------------- figures
+
+
+def labels(figure):
+    """The text on the axes of a figure, shared labels included."""
+    found = [figure.get_supxlabel(), figure.get_supylabel()]
+    return found + [text for axes in figure.axes for text in (axes.get_xlabel(), axes.get_ylabel())]
+
+
+@pytest.mark.parametrize("sizes", [SMALL, {"horizon": 1, "trials": 1}])
+@pytest.mark.parametrize("name", PRESETS)
+def test_every_figure_is_drawn_and_labelled(name, sizes):
+    run = run_experiment(Settings(preset=name, **sizes))
+    arguments = {"efficientnet": (), "psi": (run.landing.task,)}
+    expected = {
+        "schedule": ("step", "model"),
+        "costs": ("perception cost", "control cost"),
+        "rewards": ("minus reward",),
+        "pareto": ("perception cost", "extra control cost"),
+        "landing": ("time (s)", f"altitude ({run.landing.unit})"),
+        "efficientnet": ("operations", "parameters", "top-1 accuracy (%)"),
+        "psi": ("step $k$", "step $t$"),
+    }
+    assert set(expected) == FIGURES
+    for key, words in expected.items():
+        figure = getattr(landing, f"plot_{key}")(*arguments.get(key, (run,)))
+        assert isinstance(figure, plt.Figure)
+        for word in words:
+            assert any(word in text for text in labels(figure)), (key, word)
+        figure.canvas.draw()
+        plt.close(figure)
+
+
+def test_schedule_figure_shows_the_schedule(small):
+    figure = landing.plot_schedule(small)
+    points = figure.axes[0].lines[-1].get_ydata()
+    np.testing.assert_array_equal(points, small.optimal.choices)
+    assert [tick.get_text() for tick in figure.axes[0].get_yticklabels()] == list(small.suite.names)
+    plt.close(figure)
+
+
+def test_cost_and_reward_figures_show_the_means(small):
+    means = small.means()
+    for figure, x, y in (
+        (landing.plot_costs(small), "perception_cost", "control_cost"),
+        (landing.plot_rewards(small), "reward", None),
+    ):
+        for line in figure.axes[0].lines:
+            if line.get_label() in means:
+                row = means[line.get_label()]
+                assert abs(line.get_xdata()[0]) == pytest.approx(abs(row[x]))
+                assert y is None or line.get_ydata()[0] == pytest.approx(row[y])
+        plt.close(figure)
+
+
+def test_psi_figure_has_one_scale_and_four_patterns(small):
+    figure = landing.plot_psi(small.landing.task)
+    images = [axes.images[0] for axes in figure.axes[:4]]
+    assert all(isinstance(image.norm, LogNorm) for image in images)
+    assert len({(image.norm.vmin, image.norm.vmax) for image in images}) == 1
+    for axes, information in zip(figure.axes, INFORMATION, strict=False):
+        assert axes.get_title().startswith(information)
+        shown = np.abs(psi(small.landing.task, information))
+        np.testing.assert_array_equal(axes.images[0].get_array(), shown)
+    plt.close(figure)
+
+
+def test_style_leaks_no_further():
+    before = dict(plt.rcParams)
+    plt.close(landing.plot_efficientnet())
+    assert dict(plt.rcParams) == before
+
+
+# -------------------------------------------------------------------------------- command line
+
+
+TINY = ["--horizon", "4", "--trials", "3"]
+
+
+@pytest.mark.parametrize("information", INFORMATION)
+@pytest.mark.parametrize("name", PRESETS)
+def test_command_line_writes_report_json_and_figures(name, information, tmp_path, capsys):
+    out, path = tmp_path / "a" / "figures", tmp_path / "b" / "results.json"
+    options = ["--preset", name, "--information", information, *TINY]
+    assert main([*options, "--out", str(out), "--json", str(path)]) == 0
+    printed = capsys.readouterr()
+    assert "Certificate" in printed.out or "lower bound" in printed.out
+    assert printed.err == ""  # no progress bars off a terminal
+    assert {file.name for file in out.iterdir()} == {f"{key}.png" for key in FIGURES}
+    assert all(file.read_bytes().startswith(b"\x89PNG") for file in out.iterdir())
+    found = json.loads(path.read_text())
+    assert found["settings"]["preset"] == name and len(found["schedule"]) == 4
+    assert plt.get_fignums() == []
+
+
+def test_same_seed_same_files(tmp_path, capsys):
+    for name in ("one", "two"):
+        folder = tmp_path / name
+        assert main([*TINY, "--quiet", "--out", str(folder), "--json", str(folder / "r.json")]) == 0
+    assert capsys.readouterr() == ("", "")
+    numbers = [json.loads((tmp_path / name / "r.json").read_text()) for name in ("one", "two")]
+    for found in numbers:
+        assert found.pop("solve_seconds") >= 0
+    assert numbers[0] == numbers[1]
+    for key in FIGURES:
+        one, two = ((tmp_path / name / f"{key}.png").read_bytes() for name in ("one", "two"))
+        assert one == two, key
+
+
+def test_other_seed_other_numbers(tmp_path):
+    for seed in "01":
+        target = str(tmp_path / f"{seed}.json")
+        main([*TINY, "--quiet", "--no-figures", "--seed", seed, "--json", target])
+    one, two = (json.loads((tmp_path / f"{seed}.json").read_text()) for seed in "01")
+    assert one["policies"] != two["policies"]
+    assert not (tmp_path / "figures").exists()
+
+
+def attempt(argv):
+    """Exit status of the command line, however it ends."""
+    try:
+        return main(argv)
+    except SystemExit as ended:
+        return ended.code
+
+
+@pytest.mark.parametrize(
+    ("argv", "words"),
+    [
+        ("--horizon 0", "horizon: expected an integer >= 1, found 0"),
+        ("--horizon -3", "horizon"),
+        ("--horizon 1.5", "--horizon"),
+        ("--horizon many", "--horizon"),
+        ("--horizon", "--horizon"),
+        ("--trials 0", "trials: expected an integer >= 1, found 0"),
+        ("--trials -1", "trials"),
+        ("--trials x", "--trials"),
+        ("--alpha -0.1", "alpha: expected a number >= 0, found -0.1"),
+        ("--alpha nan", "alpha"),
+        ("--alpha inf", "alpha"),
+        ("--alpha x", "--alpha"),
+        ("--beta -1", "beta"),
+        ("--beta nan", "beta"),
+        ("--upsilon -1", "upsilon"),
+        ("--upsilon inf", "upsilon"),
+        ("--seed -1", "seed"),
+        ("--seed 1.5", "--seed"),
+        ("--preset moon", "--preset"),
+        ("--information none", "--information"),
+        ("--experiment none", "--experiment"),
+        ("--unknown", "--unknown"),
+        ("surplus", "surplus"),
+        ("--horizon 4000", "double precision"),
+        ("--json {file}/results.json", "--json"),
+        ("--json {folder}", "--json: expected a file"),
+        ("--json /dev/null", "--json: expected a file"),
+        ("--json /proc/none/results.json", "--json"),
+        ("--out {file}", "--out: expected a writable folder"),
+        ("--out {file}/figures", "--out"),
+        ("--out /proc/none", "--out"),
+        ("--out {folder}/new --json {folder}/new", "--json: expected a file"),
+    ],
+)
+def test_bad_input_is_one_line_and_status_2_and_leaves_nothing(
+    argv, words, tmp_path, capsys, monkeypatch
+):
+    folder, file = tmp_path / "folder", tmp_path / "file"
+    folder.mkdir()
+    file.write_text("kept")
+    monkeypatch.chdir(folder)
+    if "4000" not in argv:
+        monkeypatch.setattr(landing, "run_experiment", lambda *_, **__: pytest.fail("it ran"))
+    assert attempt(argv.format(folder=folder, file=file).split()) == 2
+    printed = capsys.readouterr()
+    assert printed.out == ""
+    assert printed.err.startswith("landing.py: error: ") and printed.err.count("\n") == 1
+    assert words in printed.err
+    assert list(folder.iterdir()) == [] and file.read_text() == "kept"
+
+
+def test_a_failed_write_leaves_the_old_file(tmp_path, monkeypatch):
+    path = tmp_path / "results.json"
+    path.write_text("old")
+
+    def fail(self, content):
+        self.touch()
+        raise OSError("disk full")
+
+    monkeypatch.setattr(Path, "write_bytes", fail)
+    assert attempt([*TINY, "--quiet", "--no-figures", "--json", str(path)]) == 2
+    assert path.read_text() == "old" and list(tmp_path.iterdir()) == [path]
+
+
+def test_script_runs_from_the_shell():
+    script = Path(landing.__file__)
+    command = [sys.executable, script, "--no-figures", "--horizon", "5", "--trials", "2"]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert "Clairvoyant" in done.stdout and done.stderr == ""
+    helped = subprocess.run([sys.executable, script, "--help"], capture_output=True, text=True)
+    for option in ("information", "horizon", "alpha", "upsilon", "out", "json", "no-figures"):
+        assert f"--{option}" in helped.stdout
