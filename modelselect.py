@@ -1376,7 +1376,7 @@ def _triangle(problem: SelectionProblem, reference: Array, budget: float = 0.0) 
     deviation = problem.mean - reference.reshape(H, 1, p)
     diagonal = problem.quadratic.diagonal()
     most = (deviation**2).max(axis=1).ravel() @ diagonal
-    share = min(1e-6, budget / 100 / max(most, np.finfo(float).tiny))
+    share = min(1e-6, max(0.0, budget) / 100 / max(most, np.finfo(float).tiny))
     shift = share * diagonal + MATRIX_TOLERANCE * diagonal.sum() + np.finfo(float).tiny
     reduced = reduced - np.einsum("twi,ti->tw", deviation**2, shift.reshape(H, p))
     lowest = reduced.min(axis=1)

@@ -15,14 +15,15 @@ import json
 import sys
 from collections.abc import Callable
 from dataclasses import replace
-from time import perf_counter
+from statistics import median
+from time import perf_counter, process_time
 from typing import Any, NamedTuple
 
 import numpy as np
 import scipy.linalg as la
 import scipy.sparse as sparse
-
 from measure import peak_memory
+
 from modelselect import (
     OPTIMALITY_GAP,
     Schedule,
@@ -35,12 +36,23 @@ from modelselect import (
 )
 
 
+class Clock:
+    """What a ``with`` block took: by the wall clock, and of processor time."""
+
+    def __enter__(self) -> Clock:
+        self.wall, self.processor = perf_counter(), process_time()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.wall, self.processor = perf_counter() - self.wall, process_time() - self.processor
+
+
 class Attempt(NamedTuple):
     """What a solver says: recomputing the cost is left to the caller."""
 
     choices: np.ndarray | None  #: (H,), none found if None
     bound: float  #: its lower bound
-    seconds: float
+    clock: Clock | None  #: None: it refused
     closed: bool  #: whether it claims a proof, by its own tolerances
     status: str
 
@@ -49,12 +61,11 @@ class Attempt(NamedTuple):
 
 
 def _ours(solver: Callable[..., Schedule], problem: SelectionProblem, **limits: Any) -> Attempt:
-    started = perf_counter()
-    schedule = solver(problem, **limits)
-    took = perf_counter() - started
+    with Clock() as clock:
+        schedule = solver(problem, **limits)
     check_certificate(problem, schedule)
     status = "optimal" if schedule.is_optimal else "time limit"
-    return Attempt(schedule.choices, schedule.lower_bound, took, schedule.is_optimal, status)
+    return Attempt(schedule.choices, schedule.lower_bound, clock, schedule.is_optimal, status)
 
 
 def ours(problem: SelectionProblem, limit: float) -> Attempt:
@@ -117,16 +128,15 @@ def _scip(problem: SelectionProblem, limit: float, *, split: bool) -> Attempt:
     model.hideOutput()
     model.setParams({"limits/time": limit, "limits/gap": OPTIMALITY_GAP})
     b = _scip_model(model, easy, split)
-    started = perf_counter()
-    model.optimize()
-    took = perf_counter() - started
+    with Clock() as clock:
+        model.optimize()
     status, choices = model.getStatus(), None
     if model.getNSols():
         best = model.getBestSol()
         choices = np.array([[best[x] for x in row] for row in b]).argmax(axis=1)
     bound = model.getDualbound() if model.getDualbound() > -model.infinity() else -np.inf
     closed = status in ("optimal", "gaplimit")
-    return Attempt(choices, bound * easy.unit, took, closed, status)
+    return Attempt(choices, bound * easy.unit, clock, closed, status)
 
 
 def _scip_model(model: Any, easy: Scaled, split: bool) -> list[list[Any]]:
@@ -161,7 +171,7 @@ def gurobi(problem: SelectionProblem, limit: float) -> Attempt:
     try:
         return _gurobi(problem, limit)
     except gurobipy.GurobiError as refusal:
-        return Attempt(None, -np.inf, np.nan, False, str(refusal))
+        return Attempt(None, -np.inf, None, False, str(refusal))
 
 
 def _gurobi(problem: SelectionProblem, limit: float) -> Attempt:
@@ -180,13 +190,12 @@ def _gurobi(problem: SelectionProblem, limit: float) -> Attempt:
             model.addConstr((b * easy.mean[:, :, i]).sum(axis=1) == d[:, i])
         flat = d.reshape(-1)
         model.setObjective(flat @ easy.Q @ flat + (b * easy.linear).sum())
-        started = perf_counter()
-        model.optimize()
-        took = perf_counter() - started
+        with Clock() as clock:
+            model.optimize()
         choices = b.X.argmax(axis=1) if model.SolCount else None
         closed = model.Status == gurobipy.GRB.OPTIMAL
         status = "optimal" if closed else f"status {model.Status}"
-        return Attempt(choices, model.ObjBound * easy.unit, took, closed, status)
+        return Attempt(choices, model.ObjBound * easy.unit, clock, closed, status)
 
 
 # -------------------------------------------------------------------------- scipy.optimize.milp
@@ -203,19 +212,18 @@ def linearised(problem: SelectionProblem, limit: float) -> Attempt:
     easy = scaled(problem)
     H, W, _ = easy.mean.shape
     cost, rows, right = _products(easy)
-    started = perf_counter()
-    result = milp(
-        cost,
-        integrality=np.arange(len(cost)) < H * W,
-        bounds=Bounds(0, 1),
-        constraints=LinearConstraint(rows, right, right),
-        options={"time_limit": limit, "mip_rel_gap": OPTIMALITY_GAP},
-    )
-    took = perf_counter() - started
+    with Clock() as clock:
+        result = milp(
+            cost,
+            integrality=np.arange(len(cost)) < H * W,
+            bounds=Bounds(0, 1),
+            constraints=LinearConstraint(rows, right, right),
+            options={"time_limit": limit, "mip_rel_gap": OPTIMALITY_GAP},
+        )
     choices = None if result.x is None else result.x[: H * W].reshape(H, W).argmax(axis=1)
     bound = -np.inf if result.mip_dual_bound is None else result.mip_dual_bound * easy.unit
     status = {0: "optimal", 1: "time limit"}.get(result.status, result.message)
-    return Attempt(choices, bound, took, result.status == 0, status)
+    return Attempt(choices, bound, clock, result.status == 0, status)
 
 
 def _products(easy: Scaled) -> tuple[np.ndarray, sparse.csr_array, np.ndarray]:
@@ -265,6 +273,22 @@ def load(file: str) -> SelectionProblem:
         return SelectionProblem(**{name: arrays[name] for name in FIELDS})
 
 
+def summary(problem: SelectionProblem, runs: list[Attempt]) -> dict[str, Any]:
+    """The last run, with the median of all times and the cost computed anew."""
+    last, clocks = runs[-1], [run.clock for run in runs if run.clock]
+    answer: dict[str, Any] = {"status": last.status, "closed": bool(last.closed)}
+    if last.choices is not None:
+        answer["choices"] = last.choices.tolist()
+        answer["cost"] = float(problem.total_cost(last.choices))
+    if np.isfinite(last.bound):
+        answer["bound"] = float(last.bound)
+    if clocks:
+        answer["all_seconds"] = [clock.wall for clock in clocks]
+        answer["seconds"] = median(answer["all_seconds"])
+        answer["processor_seconds"] = median(clock.processor for clock in clocks)
+    return answer
+
+
 def main() -> None:
     request = json.loads(sys.argv[1])
     problem = load(request["file"])
@@ -272,16 +296,7 @@ def main() -> None:
     for _ in range(request["repeat"]):
         # A fresh copy: nothing that a run has cached helps the next one.
         runs.append(solver(replace(problem), request["limit"]))
-    peak = peak_memory()
-    last, times = runs[-1], [run.seconds for run in runs]
-    answer = {"status": last.status, "closed": bool(last.closed), "memory": peak, "before": before}
-    if last.choices is not None:
-        answer |= {"choices": last.choices.tolist(), "cost": float(problem.total_cost(last.choices))}
-    if np.isfinite(last.bound):
-        answer["bound"] = float(last.bound)
-    if np.isfinite(times).all():
-        answer |= {"seconds": float(np.median(times)), "all_seconds": times}
-    print(json.dumps(answer))
+    print(json.dumps({"memory": peak_memory(), "before": before} | summary(problem, runs)))
 
 
 if __name__ == "__main__":

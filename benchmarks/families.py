@@ -16,7 +16,9 @@ from modelselect import ControlTask, SelectionProblem, psi
 from perception import PerceptionSuite, gaussian_suite
 
 ALPHA, BETA = 0.8, 0.2
-TEXTBOOK = tuple(f"{known}/{s}" for known in ("open_loop", "preview") for s in ("same", "model", "step"))
+TEXTBOOK = tuple(
+    f"{known}/{s}" for known in ("open_loop", "preview") for s in ("same", "model", "step")
+)
 FAMILIES = ("published", *TEXTBOOK)
 ONE_SIGN = ("published", "open_loop/same", "preview/same")
 MIXED_SIGNS = tuple(family for family in FAMILIES if family not in ONE_SIGN)
@@ -48,9 +50,7 @@ def instance(
     return SelectionProblem(Psi, suite.mean, suite.variance, price * suite.cost, ALPHA, BETA)
 
 
-def textbook_suite(
-    signs: str, rng: np.random.Generator, H: int, W: int, p: int
-) -> PerceptionSuite:
+def textbook_suite(signs: str, rng: np.random.Generator, H: int, W: int, p: int) -> PerceptionSuite:
     """`perception.textbook_suite`, its range of quality shared by W models, for p components."""
     altitude = preset("textbook", H).path[:-1]
     finer = 7 / (W - 1)

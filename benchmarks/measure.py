@@ -83,8 +83,8 @@ def table(rows: list[dict[str, str]]) -> str:
 
 
 def claim(text: str, measured: str, holds: bool | None) -> dict[str, str]:
-    """One line of the table of claims; None: not measured in this run."""
-    answer = {True: "yes", False: "**no**", None: "not measured"}[holds]
+    """One line of the table of claims; None: this run cannot tell."""
+    answer = {True: "yes", False: "**no**", None: "this run cannot tell"}[holds]
     return {"claim": text, "measured": measured, "holds": answer}
 
 

@@ -20,11 +20,8 @@ from time import perf_counter
 
 import numpy as np
 
-ROOT = Path(__file__).resolve().parents[1]
-sys.path.insert(0, str(ROOT))
-
-import modelselect as ms  # noqa: E402
-from landing import cost_scale, preset  # noqa: E402
+import modelselect as ms
+from landing import cost_scale, preset
 
 RESULTS = Path(__file__).parent / "results" / "polynomial.md"
 HORIZONS = {True: (50, 100, 200, 400), False: (50, 100, 200, 400, 800, 1600)}
@@ -131,8 +128,8 @@ here for comparison. Growth: slope of log time over the longer half of the horiz
 {table(horizons, columns, steps)}
 
 The minima grow with H·W. `solve_separable` also makes sure that Ψ, a dense (H, H) array, couples
-no steps, which takes H² operations; a blend takes H² operations a gradient step, and H³ once for
-the step length.
+no steps, which takes H² operations (and longer once Ψ outgrows the cache); a blend takes H²
+operations a gradient step, and H³ once for the step length.
 
 Python {platform.python_version()}, NumPy {np.__version__}, {platform.machine()}.
 """
