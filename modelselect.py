@@ -1203,6 +1203,7 @@ def relax_interior_point(
     allowed: npt.NDArray[np.bool_] | None = None,
     gap: float = 1e-7,
     ceiling: float = math.inf,
+    time_limit: float | None = None,
     max_iterations: int = 60,
 ) -> Relaxation:
     """Solve the relaxation of `relax` by Newton's method: about ten steps, however stiff Psi.
@@ -1226,6 +1227,8 @@ def relax_interior_point(
         Stop when value and bound agree to this fraction.
     ceiling : float
         Stop as soon as the bound exceeds this (used by `branch_and_bound`).
+    time_limit : float, optional
+        Stop after this many seconds: any iterate is a certificate.
     max_iterations : int
         Stop after this many iterations in any case.
 
@@ -1234,7 +1237,7 @@ def relax_interior_point(
     Relaxation
         The iterate of the best bound, over schedules of allowed models.
     """
-    p = problem.mean.shape[2]
+    expired, p = _stopwatch(time_limit), problem.mean.shape[2]
     usable = np.isfinite(problem.linear) if allowed is None else allowed
     linear = np.where(usable, problem.linear, np.inf)
     free = np.flatnonzero(usable.sum(axis=1) > 1)
@@ -1249,7 +1252,8 @@ def relax_interior_point(
     y = lowest - np.where(inside, G[free] - lowest[:, None], 0).sum() / max(len(free), 1)
     for iteration in range(1, max_iterations + 1):
         within = max(gap * max(abs(point.value), abs(point.bound)), negligible)
-        if not free.size or point.value - point.bound <= within or best.bound > ceiling:
+        done = not free.size or point.value - point.bound <= within or best.bound > ceiling
+        if done or expired():
             break
         b, z = weights[free], np.where(inside, G[free] - y[:, None], 1)
         tau, previous = float((b * z)[inside].mean()), tau
@@ -1544,7 +1548,8 @@ def dynamic_program(
     """
     expired = _stopwatch(time_limit)
     started, widest = perf_counter(), check_count("max_labels", max_labels)
-    relaxation = relax_interior_point(problem) if relaxation is None else relaxation
+    if relaxation is None:
+        relaxation = relax_interior_point(problem, time_limit=time_limit)
     first = round_and_swap(problem, relaxation)
     best, cost, proved = first.choices, first.cost, first.root_bound
     triangle = _triangle(problem, relaxation.reference, cost - proved)
@@ -1679,7 +1684,7 @@ def branch_and_bound(
     """
     expired, started = _stopwatch(time_limit), perf_counter()
     most = math.inf if max_nodes is None else check_count("max_nodes", max_nodes)
-    root = relax_interior_point(problem, gap=gap / 10)
+    root = relax_interior_point(problem, gap=gap / 10, time_limit=time_limit)
     incumbent = round_and_swap(problem, root)
     best, cost, lower = incumbent.choices, incumbent.cost, root.bound
     noise = _rounding(problem, root.reference)
@@ -1690,17 +1695,21 @@ def branch_and_bound(
         lower, parent, allowed, step = queue[0]
         if cost - lower <= max(gap * max(abs(cost), abs(lower)), noise):
             break
-        heapq.heappop(queue)
+        node = heapq.heappop(queue)
         for model in np.flatnonzero(allowed[step]):
+            if expired():
+                heapq.heappush(queue, node)  # its bound must not be lost
+                break
             child = allowed.copy()
             child[step] = np.arange(child.shape[1]) == model
             point = relax_interior_point(problem, allowed=child, gap=gap / 10, ceiling=cost)
-            candidate = round_and_swap(problem, point)
-            if candidate.cost < cost:
-                best, cost = candidate.choices, candidate.cost
             bound = max(lower, point.bound)
             tree.append(Node(parent, int(step), int(model), bound, perf_counter() - started, cost))
             child, undecided = _narrow(problem, child, point, cost)
+            rounded = np.where(child, point.weights, -1).argmax(axis=1)
+            candidate, _ = _swap(problem, rounded)
+            if problem.total_cost(candidate) < cost:
+                best, cost = candidate, float(problem.total_cost(candidate))
             if bound < cost and child[undecided].sum() > 1:
                 heapq.heappush(queue, (bound, len(tree) - 1, child, undecided))
     lower = queue[0][0] if queue and cost - queue[0][0] > noise else cost
@@ -1775,7 +1784,7 @@ def solve(
     expired = _stopwatch(time_limit)
     if is_separable(problem):
         return solve_separable(problem)
-    relaxation = relax_interior_point(problem)
+    relaxation = relax_interior_point(problem, time_limit=time_limit)
     quick = round_and_swap(problem, relaxation)
     if quick.gap <= gap or expired():
         return quick
