@@ -1,15 +1,15 @@
 """Landing a drone with eight perception models: the paper's first experiment, end to end.
 
-An aircraft comes down.  At every step it runs one of the models b0 (free, far off) to b7 (dear,
-nearly right) to estimate the input s_t that disturbs it.  The arrays flow one way:
+At every step an aircraft runs one of the models b0 (free, far off) to b7 (dear, nearly right) to
+estimate the input s_t that disturbs it.  The arrays flow one way:
 
     preset -> Psi -> problem -> schedules of eight policies -> trials -> report, JSON, figures.
 
 A schedule is chosen from means and variances, but judged in flight: every trial draws the true
-input and the errors of all models, the controller acts on the estimates of the scheduled models,
-and the costs are those of the roll-out.  All policies meet the same inputs and the same errors.
-Model w costs w * Upsilon (``eq:perceptionCost``); the authors' code charges (w + 1) * Upsilon,
-which adds H * Upsilon to every schedule and so changes percentages, but not the optimum.
+input and the errors of all models, the same for all policies, the controller acts on the estimates
+of the scheduled models, and the costs are those of the roll-out.  Model w costs w * Upsilon
+(``eq:perceptionCost``); the authors' code charges (w + 1) * Upsilon, which adds H * Upsilon to
+every schedule: it changes percentages, but not the optimum.
 
 From the shell, ``python landing.py --help``; from a notebook::
 
@@ -28,8 +28,8 @@ import io
 import math
 import sys
 import tempfile
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, replace
 from json import dumps
 from pathlib import Path
@@ -137,7 +137,7 @@ def preset(name: str = "published", horizon: int = 150) -> Preset:
 
 
 def cost_scale(Psi: Array, suite: PerceptionSuite) -> float:
-    """Upsilon by a rule fixed before any result was seen, for presets that publish none.
+    """Return Upsilon by a rule that was fixed before any result was seen.
 
     beta Upsilon (W-1) H = 0.2 alpha (expected control term of All Small) at alpha = 0.8 and
     beta = 0.2, whatever the weights in use, so that sweeping those means something.
@@ -177,9 +177,10 @@ class Settings:
             if name in NAMES and value not in (known := tuple(NAMES[name])):
                 raise ValueError(f"{name}: expected one of {', '.join(known)}, found {value!r}")
             if name in ("horizon", "trials", "seed"):
-                ms.check_count(name, value, minimum=0 if name == "seed" else 1)
+                value = ms.check_count(name, value, minimum=0 if name == "seed" else 1)
             if name in ("alpha", "beta") or (name == "upsilon" and value is not None):
-                ms.check_number(name, value, minimum=0)
+                value = ms.check_number(name, value, minimum=0)
+            object.__setattr__(self, name, value)
 
 
 class Flights(NamedTuple):
@@ -192,8 +193,7 @@ class Flights(NamedTuple):
     reward: Array  #: (trials,), -alpha control_cost - beta perception_cost
 
 
-QUANTITIES = ("control_cost", "perception_cost", "reward")
-Means = dict[str, dict[str, float]]  # by policy, then by quantity
+QUANTITIES = Flights._fields[2:]
 
 
 @dataclass(frozen=True, eq=False)
@@ -208,28 +208,24 @@ class Result:
     seconds: float  #: that `modelselect.solve` took
     flights: dict[str, Flights]  #: by policy
 
-    def means(self) -> Means:
-        """Return the means over trials of the three quantities, by policy."""
-        return {
-            policy: {q: float(getattr(flown, q).mean()) for q in QUANTITIES}
-            for policy, flown in self.flights.items()
-        }
+    def means(self) -> dict[str, Array]:
+        """Means over trials (3,) of control cost, perception cost and reward, by policy."""
+        return {policy: np.mean(flown[2:], axis=1) for policy, flown in self.flights.items()}
 
 
 def policies(
-    problem: SelectionProblem, optimal: Choices, errors: Array, rng: Rng, progress: bool = False
+    problem: SelectionProblem, optimal: Choices, errors: Iterable[Array], rng: Rng
 ) -> dict[str, Choices | None]:
     """Return the schedules (H,) of all policies, or (trials, H) where each trial has its own.
 
     Oracle is that of the authors' code: no model, no error.  Clairvoyant is the Oracle of their
-    text: it knows the errors (trials, H, W, p) of every trial beforehand and solves
+    text: it knows the errors (H, W, p) of every trial beforehand and solves
     ``prob:model_selection``.  Both are infeasible.  Random is one schedule for all trials, as in
     their code.  Best Single (constant) and Greedy (each step alone, coupling ignored) are ours.
     """
     H, W, _ = problem.mean.shape
     constant = np.repeat(np.arange(W)[:, None], H, axis=1)
-    bar = tqdm(errors, "Clairvoyant", leave=False, disable=not progress or None)
-    known = (replace(problem, mean=e, variance=np.zeros_like(e)) for e in bar)
+    known = (replace(problem, mean=e, variance=np.zeros_like(e)) for e in errors)
     return {
         "Oracle": None,
         "Clairvoyant": np.array([ms.solve(trial).choices for trial in known]),
@@ -278,8 +274,9 @@ def run_experiment(settings: Settings | None = None, *, progress: bool = False) 
 
     s = landing.draw_inputs(streams[1], run.trials)
     errors = sample_errors(suite, run.trials, streams[2])
+    bar = tqdm(errors, "Clairvoyant", leave=False, disable=not progress or None)
     flights = {}
-    for policy, choices in policies(problem, optimal.choices, errors, streams[3], progress).items():
+    for policy, choices in policies(problem, optimal.choices, bar, streams[3]).items():
         altitude, control = fly(landing, run.information, s, errors, choices)
         paid = np.zeros(run.trials) + (0 if choices is None else problem.perception_term(choices))
         reward = -run.alpha * control - run.beta * paid
@@ -311,15 +308,14 @@ def pareto(
 
 #: Means of 100 trials that the authors logged: control cost, and perception cost in Upsilon at
 #: w + 1 for model w.
-PUBLISHED: dict[Settings, dict[str, tuple[float, int]]] = {
-    Settings(upsilon=1e14): {
-        "Oracle": (5.189117e15, 0),
-        "Optimal": (7.299417e15, 628),
-        "Random": (4.871516e16, 664),
-        "All Large": (5.190354e15, 1200),
-        "All Small": (4.915508e17, 150),
-    }
+EXPERIMENT_1 = {
+    "Oracle": (5.189117e15, 0),
+    "Optimal": (7.299417e15, 628),
+    "Random": (4.871516e16, 664),
+    "All Large": (5.190354e15, 1200),
+    "All Small": (4.915508e17, 150),
 }
+PUBLISHED = {Settings(upsilon=1e14): EXPERIMENT_1}
 
 #: Quantity, new, old: percentages (new - old) / |old|, and what the paper says of the number.
 COMPARISONS = (
@@ -335,26 +331,24 @@ COMPARISONS = (
     ("reward", "Oracle", "Optimal", '"77% far from Oracle"; caption: "very close"'),
 )
 READING = [
-    '"b7 was never invoked" (see the steps above).  No cost falls by more than 100%: 567.18% and',
+    '"b7 was never invoked": see its steps above.  No cost falls by more than 100%: 567.18% and',
     "53.26% are shares of Optimal's own cost, and 80.72% compares two other policies.  Plainly,",
     "the log says that Optimal has 85% less control cost than Random at 5% less perception cost",
     "(7% at w * Upsilon), and a reward 35% (39%) better than All Large's: the method holds.",
 ]
 
 
-def published_log(settings: Settings, offset: int = 0) -> Means:
-    """Return the means logged for these settings, trials and seed aside; empty if there are none.
+def published_log(settings: Settings, offset: int = 0) -> dict[str, Array]:
+    """Return the logged means, like `Result.means`, if there are any for these settings.
 
     Model w costs (w + offset) * Upsilon: 1 is as logged, 0 converts to the convention of the text.
     """
-    means: Means = {}
-    for policy, (control, units) in PUBLISHED.get(
-        replace(settings, trials=100, seed=0), {}
-    ).items():
-        more = 0 if policy == "Oracle" else settings.horizon * (offset - 1)
-        paid = (settings.upsilon or 0) * (units + more)
+    means, any_trials = {}, replace(settings, trials=100, seed=0)
+    for policy, (control, units) in PUBLISHED.get(any_trials, {}).items():
+        units += 0 if policy == "Oracle" else settings.horizon * (offset - 1)
+        paid = (settings.upsilon or 0) * units
         reward = -settings.alpha * control - settings.beta * paid
-        means[policy] = {"control_cost": control, "perception_cost": paid, "reward": reward}
+        means[policy] = np.array([control, paid, reward])
     return means
 
 
@@ -372,26 +366,31 @@ def report(result: Result) -> str:
 
 def _costs(result: Result) -> list[str]:
     """Tabulate costs and reward of every policy, the published ones below them."""
-    best, size = result.flights["Optimal"].reward, abs(result.flights["Optimal"].reward.mean())
+    best, log = result.flights["Optimal"], published_log(result.settings)
+    size = best.control_cost.mean()
     unit = 1000.0 ** math.floor(math.log10(size) / 3) if size > 0 else 1.0
-    log = published_log(result.settings)
 
     def cell(values: Array) -> str:
-        half = f"± {half_width(values) / unit:.3f}".replace("nan", "-")
-        return f"{values.mean() / unit:12.3f} {half * bool(len(values) == 1 or np.ptp(values)):9}"
+        constant = len(values) > 1 and np.ptp(values) == 0
+        half = "" if constant else f"± {half_width(values) / unit:.3f}".replace("nan", "-")
+        return f"{values.mean() / unit:12.3f} {half:9}"
 
     heads = ("control cost", "perception cost", "reward", "Optimal gains")
     lines = [
         f"Means of {result.settings.trials} trials ± 95% t-intervals, in units of {unit:.0e}; "
-        "perception costs are w * Upsilon.",
+        "perception costs are w * Upsilon",
         " " * 12 + "".join(f"{head:>17}     " for head in heads),
     ]
     for policy, flown in result.flights.items():
-        lines += [f"{policy:12}" + "".join(map(cell, (*flown[2:], best - flown.reward)))]
+        lines += [f"{policy:12}" + "".join(map(cell, (*flown[2:], best.reward - flown.reward)))]
         if policy in log:
-            cells = (f"{value / unit:12.3f}{'':10}" for value in log[policy].values())
-            lines += [f"{'  published':12}" + "".join(cells)]
-    lines += ["Oracle (no error) and Clairvoyant (knows all errors beforehand) are infeasible."]
+            lines += [
+                "  published " + "".join(f"{mean / unit:12.3f}{'':10}" for mean in log[policy])
+            ]
+    lines += [
+        "Oracle (no error) and Clairvoyant (knows all errors beforehand) are infeasible.",
+        "Optimal gains: its reward less that of the policy, in the same trials.",
+    ]
     return [line.rstrip() for line in lines]
 
 
@@ -403,11 +402,11 @@ def _comparisons(result: Result) -> list[str]:
     lines = ["Percentages, perception at w * Upsilon".ljust(56)]
     lines[0] += "".join(f"{head:>10}" for head in heads)
     for quantity, new, old, said in COMPARISONS:
-        formula = f"{quantity.replace('_', ' ')}, ({new} - {old}) / |{old}|"
-        row = f"{formula:56}"
+        q, formula = QUANTITIES.index(quantity), f"({new} - {old}) / |{old}|"
+        row = f"{quantity.replace('_', ' ')}, {formula}".ljust(56)
         for means in sources:
-            base, value = means[old][quantity], means[new][quantity]
-            row += f"{100 * (value - base) / abs(base):+9.1f}%" if base else f"{'-':>10}"
+            change, base = means[new][q] - means[old][q], abs(means[old][q])
+            row += f"{100 * change / base:+9.1f}%" if base else f"{'-':>10}"
         if log or not said:
             lines += [row, f"    in the paper: {said}"][: 1 + bool(said)]
     return lines + READING * bool(log)
@@ -423,21 +422,23 @@ def _certificate(result: Result) -> list[str]:
     )
     return [
         f"Optimal: expected total {best.cost:.6e} (less alpha J(u*)), lower bound "
-        f"{best.lower_bound:.6e}, gap {best.gap:.0e}:",
-        f"{'' if best.is_optimal else 'not '}proved optimal by {best.solver} in "
-        f"{result.seconds:.2f} s.  Steps: {runs}.",
-        f"The next larger model has the smaller |mean error| in {closer:.1f}% of cases, the "
-        f"smaller variance in {steadier:.1f}%.",
+        f"{best.lower_bound:.6e},",
+        f"gap {best.gap:.0e}, {'' if best.is_optimal else 'not '}proved optimal by {best.solver} "
+        f"in {result.seconds:.2f} s.",
+        f"Its steps: {runs}.",
+        f"The next larger model has the smaller |mean error| in {closer:.1f}%, the smaller "
+        f"variance in {steadier:.1f}% of cases.",
     ]
 
 
 def summary(result: Result) -> dict[str, Any]:
     """Return what ``--json`` writes: means, 95% intervals (None for one trial), certificate."""
-    policies: dict[str, dict[str, Any]] = {p: {**means} for p, means in result.means().items()}
-    for policy, row in policies.items():
-        for q in QUANTITIES:
-            half = half_width(getattr(result.flights[policy], q))
-            row[f"{q}_interval"] = None if math.isnan(half) else [row[q] - half, row[q] + half]
+    policies: dict[str, dict[str, Any]] = {policy: {} for policy in result.flights}
+    for policy, flown in result.flights.items():
+        for quantity, values in zip(QUANTITIES, flown[2:], strict=True):
+            mean, half = float(values.mean()), half_width(values)
+            interval = None if math.isnan(half) else [mean - half, mean + half]
+            policies[policy] |= {quantity: mean, f"{quantity}_interval": interval}
     return {
         "policies": policies,
         "schedule": result.optimal.choices.tolist(),
@@ -453,8 +454,6 @@ def summary(result: Result) -> dict[str, Any]:
 #: One style for all figures, readable from the last row.
 STYLE: Any = {
     "axes.grid": True,
-    "axes.spines.right": False,
-    "axes.spines.top": False,
     "figure.constrained_layout.use": True,
     "figure.dpi": 110,
     "figure.figsize": (10, 5.6),
@@ -488,8 +487,8 @@ def _styled() -> Iterator[None]:
 def _dot(axes: Axes, policy: str, x: Array, y: Array) -> None:
     """Draw the means of x and y over trials (trials,) with their 95% intervals, if any."""
     axes.plot(x.mean(), y.mean(), ls="", label=policy, **LOOK[policy])
-    half = [np.nan_to_num(half_width(values)) for values in (y, x)]
-    axes.errorbar(x.mean(), y.mean(), *half, fmt="none", ecolor=LOOK[policy]["color"])
+    dx, dy = np.nan_to_num([half_width(x), half_width(y)])
+    axes.errorbar(x.mean(), y.mean(), dy, dx, fmt="none", ecolor=LOOK[policy]["color"])
 
 
 def _scale(values: Any) -> str:
@@ -518,7 +517,7 @@ def plot_costs(result: Result) -> Figure:
     for policy, flown in result.flights.items():
         _dot(axes, policy, flown.perception_cost, flown.control_cost)
     axes.set(xlabel=PERCEPTION, ylabel="control cost", title="Lower left is better")
-    axes.set(yscale=_scale([means["control_cost"] for means in result.means().values()]))
+    axes.set(yscale=_scale([mean[0] for mean in result.means().values()]))
     figure.legend(loc="outside right upper")
     return figure
 
@@ -527,15 +526,15 @@ def plot_costs(result: Result) -> Figure:
 def plot_rewards(result: Result) -> Figure:
     """Draw the rewards with 95% intervals, the best on top (``fig:simulation_rwd``)."""
     figure, axes = plt.subplots()
-    means = {policy: m["reward"] for policy, m in result.means().items()}
-    ranked = sorted(means, key=means.__getitem__)
+    cost = {policy: -reward for policy, (_, _, reward) in result.means().items()}
+    ranked = sorted(cost, key=cost.__getitem__, reverse=True)
     for row, policy in enumerate(ranked):
-        cost, text = -result.flights[policy].reward, f"{means[policy]:.3g}"
-        _dot(axes, policy, cost, np.full_like(cost, row))
-        axes.annotate(text, (cost.mean(), row + 0.25), ha="center", size=13)
+        reward = result.flights[policy].reward
+        _dot(axes, policy, -reward, np.full_like(reward, row))
+        axes.annotate(f"{-cost[policy]:.3g}", (cost[policy], row + 0.25), ha="center", size=13)
     axes.set(yticks=range(len(ranked)), yticklabels=ranked, ylim=(-0.5, len(ranked) - 0.3))
     axes.set(xlabel="minus reward (left is better)", title="Rewards (hollow: infeasible)")
-    axes.set(xscale=_scale([-mean for mean in means.values()]), xmargin=0.1)
+    axes.set(xscale=_scale(list(cost.values())), xmargin=0.1)
     return figure
 
 
@@ -582,13 +581,12 @@ def plot_landing(result: Result) -> Figure:
 def plot_efficientnet() -> Figure:
     """Draw accuracy against operations and parameters of EfficientNet (Tan and Le 2019)."""
     figure, panels = plt.subplots(1, 2, sharey=True)
-    table = EFFICIENTNET
-    for axes, x in zip(panels, (table.flops / 1e9, table.parameters / 1e6), strict=True):
-        axes.semilogx(x, table.top1, "o-", color=LOOK["Optimal"]["color"])
-        axes.xaxis.set_major_formatter("{x:g}")
-        axes.xaxis.set_minor_formatter("")
+    names, parameters, flops, top1, _ = EFFICIENTNET
+    for axes, x in zip(panels, (flops / 1e9, parameters / 1e6), strict=True):
+        axes.semilogx(x, top1, "o-", color=LOOK["Optimal"]["color"])
         axes.margins(0.15, 0.1)
-        for name, *point in zip(table.names, x, table.top1, strict=True):
+        axes.xaxis.set(major_formatter="{x:g}", minor_formatter="")
+        for name, *point in zip(names, x, top1, strict=True):
             axes.annotate(name, point, (6, -16), textcoords="offset points")
     panels[0].set(xlabel="operations per picture (billions)", ylabel="ImageNet top-1 accuracy (%)")
     panels[1].set(xlabel="parameters (millions)", xticks=(5, 10, 20, 50))
@@ -597,15 +595,24 @@ def plot_efficientnet() -> Figure:
 
 @_styled()
 def plot_psi(task: ControlTask) -> Figure:
-    """Draw |Psi| of the four information patterns, on one logarithmic scale of colours."""
+    """Draw |Psi| of the four information patterns, on one logarithmic scale of colours.
+
+    A pattern that is out of reach of double precision stays empty.
+    """
     figure, panels = plt.subplots(1, 4, sharey=True, figsize=(15, 4.2))
-    found = [ms.psi(task, information) for information in ms.INFORMATION]
-    largest = max(np.abs(Psi).max() for Psi in found) or 1.0
-    least = 1e-8 * largest
-    for axes, information, Psi in zip(panels, ms.INFORMATION, found, strict=True):
-        picture = axes.imshow(np.abs(Psi), norm=LogNorm(least, largest), cmap="cividis")
-        negative = f"{100 * (Psi < -least).mean():.0f}% negative"
-        axes.set(title=f"{information}\n{negative}", xlabel="step $k$")
+    found = {}
+    for information in ms.INFORMATION:
+        with suppress(ValueError):
+            found[information] = ms.psi(task, information)
+    largest = max(np.abs(Psi).max() for Psi in found.values()) or 1
+    scale = LogNorm(1e-8 * largest, largest)
+    for axes, information in zip(panels, ms.INFORMATION, strict=True):
+        axes.set(title=f"{information}\nout of reach", xlabel="step $k$")
+        if information in found:
+            Psi = found[information]
+            picture = axes.imshow(np.abs(Psi), norm=scale, cmap="cividis")
+            negative = 100 * (Psi < -1e-8 * largest).mean()
+            axes.set_title(f"{information}\n{negative:.0f}% negative")
         axes.grid(False)
     panels[0].set_ylabel("step $t$")
     figure.colorbar(picture, ax=panels, label="$|\\Psi_{tk}|$ (white: 0)", shrink=0.7)
@@ -660,37 +667,35 @@ def check_targets(out: Path | None, path: Path | None) -> None:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run the command line; 2 after one line that says what was wrong, else 0.
+    """Run the command line: the fields of `Settings`, and where to write what.
 
-    The options are the fields of `Settings`, and where to write what.
+    Returns 0; bad input ends it with status 2, after one line that says what was wrong.
     """
     about = "Land an aircraft, choosing perception models."
     parser = argparse.ArgumentParser("landing.py", usage=argparse.SUPPRESS, description=about)
     for name, value in asdict(Settings()).items():
         kind = float if value is None else type(value)
-        parser.add_argument(f"--{name}", type=kind, choices=NAMES.get(name), default=value)
+        known, default = NAMES.get(name), f"default: {'as the preset' if value is None else value}"
+        parser.add_argument(f"--{name}", type=kind, choices=known, default=value, help=default)
     parser.add_argument("--out", type=Path, default="figures", metavar="FOLDER")
     parser.add_argument("--json", type=Path, metavar="FILE")
     parser.add_argument("--no-figures", action="store_true")
     parser.add_argument("--quiet", action="store_true")
+    options = vars(parser.parse_args(argv))
+    out, path, bare, quiet = (options.pop(key) for key in ("out", "json", "no_figures", "quiet"))
     try:
-        _run(**vars(parser.parse_args(argv)))
+        settings = Settings(**options)
+        check_targets(None if bare else out, path)
+        result = run_experiment(settings, progress=not quiet)
+        if not quiet:
+            print(report(result))
+        if not bare:
+            write_figures(result, out, progress=not quiet)
+        if path:
+            write_atomically(path, dumps(summary(result), indent=1).encode())
     except (ValueError, OSError, MemoryError) as error:
         parser.error(" ".join(str(error).split()))
     return 0
-
-
-def _run(out: Path, json: Path | None, no_figures: bool, quiet: bool, **settings: Any) -> None:
-    """Check everything, run the experiment, then write."""
-    chosen = Settings(**settings)
-    check_targets(None if no_figures else out, json)
-    result = run_experiment(chosen, progress=not quiet)
-    if not quiet:
-        print(report(result))
-    if not no_figures:
-        write_figures(result, out, progress=not quiet)
-    if json:
-        write_atomically(json, dumps(summary(result), indent=1).encode())
 
 
 if __name__ == "__main__":

@@ -174,8 +174,8 @@ def check_semidefinite(name: str, matrices: Array, *, definite: bool = False) ->
             f"symmetrise it first: ({name} + {name}.T) / 2"
         )
     smallest = np.linalg.eigvalsh(matrices)[..., 0]
-    rounding = MATRIX_TOLERANCE * size
-    if np.any(smallest <= rounding if definite else smallest < -rounding):
+    singular = 10 * np.finfo(float).eps * size  # what rounding makes of a zero eigenvalue
+    if np.any(smallest <= singular if definite else smallest < -MATRIX_TOLERANCE * size):
         kind = "positive definite" if definite else "positive semidefinite"
         raise ValueError(
             f"{name}: expected a {kind} matrix, found smallest eigenvalue {smallest.min():.3g}"
@@ -452,10 +452,13 @@ def _simulate(
     states = np.empty((*s.shape[:-2], task.horizon + 1, task.n))
     controls = np.empty((*s.shape[:-2], task.horizon, task.m))
     states[..., 0, :] = x0
-    for t in range(task.horizon):
-        x, u = states[..., t, :], policy(t, states[..., t, :])
-        controls[..., t, :] = u
-        states[..., t + 1, :] = x @ A[t].T + u @ B[t].T + s[..., t, :] @ C[t].T
+    with np.errstate(over="ignore", invalid="ignore"):
+        for t in range(task.horizon):
+            x, u = states[..., t, :], policy(t, states[..., t, :])
+            controls[..., t, :] = u
+            states[..., t + 1, :] = x @ A[t].T + u @ B[t].T + s[..., t, :] @ C[t].T
+    if not np.isfinite(states).all():
+        raise ValueError("task: the states overflow; shorten the horizon or rescale the inputs")
     return states, controls
 
 
@@ -898,7 +901,8 @@ def check_certificate(problem: SelectionProblem, schedule: Schedule) -> float:
     Raises
     ------
     ValueError
-        If the schedule does not state this bound and its own cost (up to rounding).
+        If the schedule does not state this bound and its own cost (up to rounding), or a lower
+        bound outside of them.
     """
     bound, _ = reference_bound(problem, schedule.reference)
     cost, d = float(problem.total_cost(schedule.choices)), schedule.reference
@@ -908,6 +912,11 @@ def check_certificate(problem: SelectionProblem, schedule: Schedule) -> float:
     for name, stated, found in claims:
         if not (math.isfinite(found) and abs(stated - found) <= 1e-9 * scale):
             raise ValueError(f"schedule.{name}: expected {found!r}, found {stated!r}")
+    lower = schedule.lower_bound
+    if not bound - 1e-9 * scale <= lower <= cost + 1e-9 * scale:
+        raise ValueError(
+            f"schedule.lower_bound: expected a number from {bound!r} to {cost!r}, found {lower!r}"
+        )
     return bound
 
 

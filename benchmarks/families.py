@@ -16,9 +16,8 @@ from modelselect import ControlTask, SelectionProblem, psi
 from perception import PerceptionSuite, gaussian_suite
 
 ALPHA, BETA = 0.8, 0.2
-TEXTBOOK = tuple(
-    f"{known}/{s}" for known in ("open_loop", "preview") for s in ("same", "model", "step")
-)
+SIGNS = ("same", "model", "step")
+TEXTBOOK = tuple(f"{known}/{signs}" for known in ("open_loop", "preview") for signs in SIGNS)
 FAMILIES = ("published", *TEXTBOOK)
 ONE_SIGN = ("published", "open_loop/same", "preview/same")
 MIXED_SIGNS = tuple(family for family in FAMILIES if family not in ONE_SIGN)

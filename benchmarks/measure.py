@@ -93,6 +93,14 @@ def seconds(value: float) -> str:
     return f"{value:.3f}" if value < 1 else f"{value:.3g}"
 
 
+def by(rows: list[dict[str, Any]], *keys: str) -> dict[Any, list[dict[str, Any]]]:
+    """Group rows by these entries, in order of appearance."""
+    groups: dict[Any, list[dict[str, Any]]] = {}
+    for row in rows:
+        groups.setdefault(tuple(row[key] for key in keys), []).append(row)
+    return groups
+
+
 def save(folder: Path, name: str, text: str, data: dict[str, Any]) -> None:
     """Write name.md and name.json."""
     folder.mkdir(parents=True, exist_ok=True)

@@ -19,7 +19,7 @@ from typing import Any
 
 from contenders import store
 from families import FAMILIES, MIXED_SIGNS, ONE_SIGN, instance
-from measure import RESULTS, about, claim, machine, run_alone, save, seconds, table
+from measure import RESULTS, about, by, claim, machine, run_alone, save, seconds, table
 from tqdm import tqdm
 
 from modelselect import OPTIMALITY_GAP
@@ -91,14 +91,6 @@ def compare(rows: list[Row]) -> None:
 
 def part(rows: list[Row], name: str) -> list[Row]:
     return [row for row in rows if row["part"] == name]
-
-
-def by(rows: list[Row], *keys: str) -> dict[Any, list[Row]]:
-    """Group rows by these entries, in order of appearance."""
-    groups: dict[Any, list[Row]] = {}
-    for row in rows:
-        groups.setdefault(tuple(row[key] for key in keys), []).append(row)
-    return groups
 
 
 # ------------------------------------------------------------------------------- the tables

@@ -7,9 +7,10 @@ mutation  few examples, the same ones every time: each of the many mutants gets 
 
 import os
 
-from hypothesis import HealthCheck, settings
-
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before NumPy: see the Makefile
 os.environ.setdefault("MPLBACKEND", "Agg")  # figures are drawn without a screen
+
+from hypothesis import HealthCheck, settings
 
 # Times are no verdict on a shared machine: no deadline, and slow generation is no failure.
 settings.register_profile(

@@ -492,7 +492,10 @@ def test_a_schedule_is_optimal_up_to_a_relative_gap_of_1e_9(gap, optimal):
 # ----------------------------------------------------------------------------------- at the door
 
 
-@pytest.mark.parametrize("name", ["psi", "mean", "variance", "model_cost", "linear"])
+PUBLIC = ["psi", "mean", "variance", "model_cost", "linear", "quadratic", "blocks", "spread"]
+
+
+@pytest.mark.parametrize("name", PUBLIC)
 def test_the_arrays_of_a_problem_are_read_only(name):
     problem = a_problem()
     with pytest.raises(FrozenInstanceError):
