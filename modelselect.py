@@ -974,7 +974,7 @@ def enumerate_schedules(problem: SelectionProblem, *, max_schedules: int = 2**22
 
 
 def solve_separable(problem: SelectionProblem) -> Schedule:
-    """Solve a problem without coupling exactly, by one minimum per step, in O(H W).
+    """Solve a problem without coupling exactly, by one minimum per step: O(H W) once it is known.
 
     Steps decouple where Psi is block diagonal (``causal``, ``measurement``), where all mean
     errors are zero, and where alpha = 0.  Otherwise this is the greedy policy's mistake.
@@ -1096,6 +1096,7 @@ def projected_gradient(
     start: Array,
     step: Array,
     gap: float,
+    negligible: float,
     max_iterations: int,
 ) -> tuple[Array, int]:
     """Minimise a convex quadratic over a simple set by Nesterov's accelerated projected gradient.
@@ -1116,6 +1117,8 @@ def projected_gradient(
         Step lengths, at most 1/L in the metric in which `project` projects.
     gap : float
         Stop when value and bound agree to this fraction.
+    negligible : float
+        Stop as well when they differ by no more than this: by rounding.
     max_iterations : int
         Stop after this many steps in any case.
 
@@ -1136,7 +1139,7 @@ def projected_gradient(
     value, bound, slope = evaluate(x)
     older_slope, momentum = slope, 1.0
     for iteration in range(check_count("max_iterations", max_iterations)):
-        if value - bound <= gap * max(abs(value), abs(bound)):
+        if value - bound <= max(gap * max(abs(value), abs(bound)), negligible):
             return x, iteration
         faster = (1 + math.sqrt(1 + 4 * momentum**2)) / 2
         beyond = (momentum - 1) / faster
@@ -1188,7 +1191,8 @@ def relax(
     slope = np.ptp(
         np.where(allowed, problem.linear, problem.linear.min(axis=1, keepdims=True)), axis=1
     )
-    size = np.where(size > 0, size, np.where(slope > 0, slope, 1))  # a step that is only linear
+    tiny = np.finfo(float).tiny
+    size = np.where(size > tiny, size, np.where(slope > tiny, slope, 1))  # a step only linear
     scale = np.repeat(size, p) ** -0.5
     largest = max(1, la.eigvalsh(scale[:, None] * M * scale)[-1])
     step = 1 / (2 * largest * size)[:, None]
@@ -1202,7 +1206,10 @@ def relax(
         return point.value, point.bound, np.where(allowed, G, 0)
 
     start = allowed / allowed.sum(axis=1, keepdims=True)
-    b, iterations = projected_gradient(evaluate, project, start, step, gap, max_iterations)
+    negligible = _rounding(problem, _relaxed(problem, problem.linear, start, 0)[0].reference)
+    b, iterations = projected_gradient(
+        evaluate, project, start, step, gap, negligible, max_iterations
+    )
     return _relaxed(problem, problem.linear, b, iterations)[0]
 
 
@@ -1885,9 +1892,13 @@ def correlated_cost(
     """
     H, W, p = problem.mean.shape
     c = _check_choices(choices, H, W)
-    blocks = [
-        [np.reshape(covariance(t, c[t], k, c[k]), (p, p)) for k in range(H)] for t in range(H)
-    ]
+
+    def block(t: int, k: int) -> Array:
+        found = as_numbers("covariance", covariance(t, int(c[t]), k, int(c[k])))
+        found = found.reshape(1, 1) if p == 1 and found.ndim == 0 else found
+        return check_array("covariance", found, "p p", (p, p))
+
+    blocks = [[block(t, k) for k in range(H)] for t in range(H)]
     joint = check_array("covariance", np.block(blocks), "pH pH", (p * H, p * H))
     check_semidefinite("covariance", joint)
     independent = problem.alpha * problem.spread[np.arange(H), c].sum()
@@ -2005,7 +2016,9 @@ def solve_blend(
         A `gap` or `max_iterations` out of range.
     """
     M, g = blend.quadratic, blend.linear
-    scale = np.where(M.diagonal() > 0, M.diagonal(), np.where(g != 0, np.abs(g), 1)) ** -0.5
+    tiny = np.finfo(float).tiny
+    size = np.where(M.diagonal() > tiny, M.diagonal(), np.where(np.abs(g) > tiny, np.abs(g), 1))
+    scale = size**-0.5
     step = scale**2 / (2 * max(1, la.eigvalsh(scale[:, None] * M * scale)[-1]))
 
     def evaluate(c: Array) -> tuple[float, float, Array]:
@@ -2016,7 +2029,10 @@ def solve_blend(
         return np.clip(c, 0, 1)
 
     half = np.full(len(g), 0.5)
-    c, iterations = projected_gradient(evaluate, project, half, step, gap, max_iterations)
+    negligible = _rounding(blend.problem, np.zeros(len(blend.problem.psi)))
+    c, iterations = projected_gradient(
+        evaluate, project, half, step, gap, negligible, max_iterations
+    )
     return Blend(c, *evaluate(c)[:2], iterations)
 
 
@@ -2070,7 +2086,7 @@ def partition_problem(integers: Sequence[int], information: str = "open_loop") -
     Parameters
     ----------
     integers : sequence of int
-        Positive integers a_0..a_{H-1}.
+        Positive integers a_0..a_{H-1}; their sum is at most 1e7, so that costs are exact.
     information : str
         ``open_loop`` or ``preview``; under the other patterns steps decouple.
 
@@ -2082,10 +2098,12 @@ def partition_problem(integers: Sequence[int], information: str = "open_loop") -
     Raises
     ------
     ValueError
-        An entry that is not a positive integer, or another pattern.
+        An entry that is not a positive integer, too large a sum, or another pattern.
     """
     a = [check_count("integers", value) for value in integers]
     H = check_count("len(integers)", len(a))
+    if sum(a) > 1e7:
+        raise ValueError(f"integers: expected a sum of at most 1e7, found {sum(a)}")
     if information not in ("open_loop", "preview"):
         raise ValueError(f"information: expected open_loop or preview, found {information!r}")
     one, B = np.ones((1, 1)), np.ones((H, 1, 1))

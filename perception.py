@@ -14,13 +14,17 @@ residuals measured on data that the models have never seen, and says how well it
 from __future__ import annotations
 
 import csv
+import io
+import math
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+from scipy.special import chdtri, stdtrit
+from tqdm import tqdm
 
 from modelselect import check_array, check_count, check_number, check_semidefinite
 
@@ -400,17 +404,108 @@ def fit_suite(
         Bad edges, or a model with fewer than 2 residuals in a bin that the trajectory visits.
     """
     h = check_array("trajectory", trajectory, "H", (None,))
-    edges = _bin_edges(bins, h)
     W, r = len(residuals.names), residuals.residual
-    bin_of, step = np.digitize(residuals.altitude, edges), np.digitize(h, edges)
-    # One cell for each bin and model; the first bin and the last lie outside the edges.
-    cell, cells = bin_of * W + residuals.model, (len(edges) + 1) * W
+    cell, step, cells = _cells(residuals, h, bins)
     n = np.bincount(cell, minlength=cells)
     # The maxima keep cells with 0 or 1 residuals finite: below, they are refused or not used.
     m = np.bincount(cell, r, cells) / np.maximum(n, 1)
     v = np.bincount(cell, (r - m[cell]) ** 2, cells) / np.maximum(n - 1, 1)
     size = n.reshape(-1, W)[step]
     mean, variance = (table.reshape(-1, W, 1)[step] for table in (m, v))
+    price = check_array("cost", cost, "... W", (W,), finite=False)
+    error = np.sqrt(variance / size[..., None])
+    return PerceptionSuite(residuals.names, mean, variance, price, size, error)
+
+
+def bootstrap_errors(
+    residuals: Residuals,
+    trajectory: npt.ArrayLike,
+    trials: int,
+    rng: np.random.Generator,
+    *,
+    bins: int | npt.ArrayLike = 10,
+) -> Array:
+    """Draw errors (trials, H, W, 1) from the residuals themselves, instead of `sample_errors`.
+
+    Step t and model w draw, with equal chances, from the n residuals that `fit_suite` would use;
+    their mean is that of the suite, their variance (n - 1) / n of its own.
+
+    Parameters
+    ----------
+    residuals, trajectory, bins : Residuals, array_like (H,), int or array_like
+        As in `fit_suite`, with its errors.
+    trials : int
+        Number of draws, >= 1; anything else raises ValueError.
+    rng : numpy.random.Generator
+        Source of randomness.
+    """
+    N, W = check_count("trials", trials), len(residuals.names)
+    cell, step, cells = _cells(residuals, check_array("trajectory", trajectory, "H", (None,)), bins)
+    n = np.bincount(cell, minlength=cells).reshape(-1, W)
+    first = np.cumsum(n).reshape(-1, W) - n
+    pick = first[step] + _check_rng(rng).integers(n[step], size=(N, len(step), W))
+    return np.asarray(residuals.residual[np.argsort(cell, kind="stable")][pick][..., None])
+
+
+def guard_suite(suite: PerceptionSuite, level: float = 0.95) -> PerceptionSuite:
+    """Replace moments measured on n residuals by upper confidence bounds of the given level.
+
+    The bias moves away from 0 by t_{level, n-1} standard errors, and the variance becomes
+    (n - 1) v / (chi-square quantile of 1 - level, n - 1): each bound holds with at least this
+    chance if errors are normal.  A schedule then trusts no model because of luck with few
+    residuals.  Where Psi couples steps, a larger bias may cancel another: no bound on the cost.
+
+    Parameters
+    ----------
+    suite : PerceptionSuite
+        Of `fit_suite`.
+    level : float
+        Between 1/2 and 1; ValueError if not, or if the suite is not measured.
+    """
+    if suite.sample_size is None or suite.standard_error is None or suite.sample_size.min() < 2:
+        raise ValueError("suite: expected one measured on 2 residuals or more, found another")
+    if not 0.5 <= (chance := check_number("level", level)) < 1:
+        raise ValueError(f"level: expected a number from 0.5 to below 1, found {chance:g}")
+    freedom = suite.sample_size[..., None] - 1.0
+    away = np.where(suite.mean < 0, -1, 1) * stdtrit(freedom, chance) * suite.standard_error
+    variance = suite.variance * freedom / chdtri(freedom, chance)
+    return replace(suite, mean=suite.mean + away, variance=variance)
+
+
+def altitude_bins(altitude: npt.ArrayLike, trajectory: npt.ArrayLike, count: int) -> Array:
+    """Return count + 1 edges around a trajectory, with equally many altitudes in every bin.
+
+    Parameters
+    ----------
+    altitude : array_like, (N,)
+        Altitudes of residuals; those beyond the trajectory do not count.
+    trajectory : array_like, (H,)
+        Altitude at every step.
+    count : int
+        Number of bins, >= 1; ValueError if there are fewer altitudes.
+    """
+    h = check_array("trajectory", trajectory, "H", (None,))
+    near = check_array("altitude", altitude, "N", (None,))
+    near = near[(near > h.min()) & (near < h.max())]
+    inner = np.linspace(0, 1, check_count("count", count) + 1)[1:-1]
+    if len(near) < count:
+        raise ValueError(f"altitude: expected {count} or more along the way, found {len(near)}")
+    return np.array([h.min(), *np.quantile(near, inner), h.max()])
+
+
+def _cells(
+    residuals: Residuals, h: Array, bins: int | npt.ArrayLike
+) -> tuple[Indices, Indices, int]:
+    """Sort residuals into cells, one a bin and model; ValueError if one along h has below 2.
+
+    Return the cell of every residual, the bin of every step, and the number of cells; the first
+    bin and the last lie outside the edges.
+    """
+    edges, W = _bin_edges(bins, h), len(residuals.names)
+    step = np.digitize(h, edges)
+    cell = np.digitize(residuals.altitude, edges) * W + residuals.model
+    cells = (len(edges) + 1) * W
+    size = np.bincount(cell, minlength=cells).reshape(-1, W)[step]
     if size.min() < 2:
         t, w = np.argwhere(size < 2)[0]
         raise ValueError(
@@ -418,9 +513,7 @@ def fit_suite(
             f"{edges[step[t] - 1]:g} to {edges[step[t]]:g}, found {size[t, w]}; "
             "use fewer bins or measure more"
         )
-    price = check_array("cost", cost, "... W", (W,), finite=False)
-    error = np.sqrt(variance / size[..., None])
-    return PerceptionSuite(residuals.names, mean, variance, price, size, error)
+    return cell, step, cells
 
 
 def _bin_edges(bins: int | npt.ArrayLike, h: Array) -> Array:
@@ -436,6 +529,400 @@ def _bin_edges(bins: int | npt.ArrayLike, h: Array) -> Array:
         )
     edges[-1] = np.nextafter(edges[-1], np.inf)  # so that the half-open last bin holds its edge
     return edges
+
+
+# ------------------------------------------------------------------------------------ the camera
+
+Pictures = npt.NDArray[np.float32]
+
+#: Feet: height of the camera on the landed drone, radius of the pad, lowest and highest altitude.
+MOUNT, PAD, LOWEST, HIGHEST = 5.0, 14.0, -2.0, 135.0
+#: Half the width of the view over the distance: a field of view of 74 degrees.
+TANGENT = 0.75
+
+
+class Scene(NamedTuple):
+    """What N pictures show beside the pad, and how the camera is held (``fig:airsim_env``)."""
+
+    light: Array  #: (N, 6), exposure and its two slopes, greys of ground, pad and paint
+    waves: Array  #: (N, 8, 4), texture: wave vector in rad/ft, phase, size
+    boxes: Array  #: (N, 7, 7), moving clutter: place and half-sides in ft, turn, grey, ft/s
+    decoy: Array  #: (N, 4), a disc that is no pad: place and radius in ft, grey
+    pose: Array  #: (N, 8), of `draw_pose`
+
+
+def draw_pose(count: int, rng: np.random.Generator) -> Array:
+    """Draw pitch, roll, offset per ft of distance (2), heading, blur, shake and dust (count, 8)."""
+    pose = _check_rng(rng).standard_normal((check_count("count", count), 8))
+    pose *= [0.05, 0.05, 0.05, 0.05, 0.6, 0.01, 0.04, 0.3]
+    return pose
+
+
+def draw_scenes(count: int, rng: np.random.Generator) -> Scene:
+    """Draw `count` >= 1 independent scenes; ValueError as in `sample_errors`."""
+    pose, N, draw = draw_pose(count, rng), count, rng.uniform
+    turn, phase = draw(0, 2 * np.pi, (2, N, 8))
+    far = draw([14] * 7 + [30], [50] * 7 + [60], (N, 8))
+    place = far[..., None] * np.stack([np.cos(turn), np.sin(turn)], -1)
+    k = 2 * np.pi * np.exp(-draw(0, np.log(60), (N, 8)))  # waves of 1 to 60 ft
+    size = draw(0.01, 0.03, (N, 8))
+    box = draw([0.7, 0.7, 0, 0, -3], [7, 3, np.pi, 1, 3], (N, 7, 5))
+    return Scene(
+        draw([0.55, -0.25, -0.25, 0.3, 0.12, 0.75], [1, 0.25, 0.25, 0.55, 0.3, 1], (N, 6)),
+        np.stack([k * np.cos(turn), k * np.sin(turn), phase, size], -1),
+        np.concatenate([place[:, :7], box], -1),
+        np.concatenate([place[:, 7], draw([3, 0.1], [14, 0.9], (N, 2))], -1),
+        pose,
+    )
+
+
+def draw_altitudes(count: int, rng: np.random.Generator) -> Array:
+    """Draw altitudes (count,) in feet, uniform in the logarithm of the distance to the camera."""
+    low, high = np.log([LOWEST + MOUNT, HIGHEST + MOUNT])
+    return np.clip(np.exp(_check_rng(rng).uniform(low, high, count)) - MOUNT, LOWEST, HIGHEST)
+
+
+def photograph(
+    scene: Scene,
+    altitude: npt.ArrayLike,
+    side: int,
+    rng: np.random.Generator,
+    *,
+    pitch: npt.ArrayLike = 0.0,
+    seconds: float = 0.0,
+) -> Pictures:
+    """Take pictures (N, side, side), greys from 0 to 1, looking down on the pad.
+
+    At a distance z = altitude + `MOUNT`, a length l covers side * l / (2 `TANGENT` z) pixels.  An
+    edge is as soft as a pixel or the blur is wide, so that all sizes show the same scene.  Near
+    the ground, rotor wash shakes the camera and raises dust.
+
+    Parameters
+    ----------
+    scene : Scene
+        N scenes.
+    altitude : array_like, (N,)
+        In feet, `LOWEST` to `HIGHEST`.
+    side : int
+        Pixels along a side, >= 1.
+    rng : numpy.random.Generator
+        Source of the sensor's noise.
+    pitch : array_like, (N,) or ()
+        Of the drone, in radians; the pose adds vibration.
+    seconds : float
+        Time for which the clutter has moved.
+
+    Raises
+    ------
+    ValueError
+        A wrong shape, or an altitude out of range.
+    """
+    h, S = check_array("altitude", altitude, "N", (len(scene.pose),)), check_count("side", side)
+    if h.min() < LOWEST or h.max() > HIGHEST:
+        found = f"{h.min():g} to {h.max():g}"
+        raise ValueError(f"altitude: expected {LOWEST:g} to {HIGHEST:g} ft, found {found}")
+    nodding = check_array("pitch", np.zeros(h.shape) + np.asarray(pitch, np.float64), "N", h.shape)
+    z, nod = _columns(np.stack([h + MOUNT, nodding], -1))
+    tilt, roll, right, ahead, heading, blur, shake, dust = _columns(scene.pose)
+    u = ((2 * np.arange(S) + 1) / S - 1).astype(np.float32)
+    a, b, c, s = TANGENT * u, -TANGENT * u[:, None], np.cos(tilt + nod), np.sin(tilt + nod)
+    # The ray (a, b, -1), turned by the tilt, meets the ground at a drop of z.
+    p, q = (z * (d / (c - b * s) + d0) for d, d0 in ((a + roll, right), (b * c + s, ahead)))
+    c, s, wash = np.cos(heading), np.sin(heading), np.exp((MOUNT - z) / 8)
+    foot = z * TANGENT * np.hypot(2 / S, abs(blur) + wash * abs(shake))
+    picture = _paint(scene, p * c - q * s, p * s + q * c, foot, seconds)
+    picture += wash * np.minimum(abs(dust), 0.5) * (0.6 - picture)
+    bright, across, along, *_ = _columns(scene.light)
+    picture *= bright * (1 + across * u - along * u[:, None])
+    picture += 0.02 * _check_rng(rng).standard_normal(picture.shape, dtype=np.float32)
+    return np.clip(picture, 0, 1)
+
+
+def _columns(table: Array) -> list[Pictures]:
+    """Return the columns of a table (N, k), each to act on pictures (N, side, side)."""
+    return list(table.T.astype(np.float32)[..., None, None])
+
+
+def _paint(scene: Scene, x: Pictures, y: Pictures, foot: Pictures, seconds: float) -> Pictures:
+    """Grey of what lies at (x, y) ft, seen by pixels `foot` ft wide, from the ground up."""
+
+    def cover(tone: Any, *inside: Pictures) -> None:
+        """Paint where all `inside`, the depths in ft behind an edge, are positive."""
+        share = math.prod(np.clip(depth / foot + np.float32(0.5), 0, 1) for depth in inside)
+        picture[...] += share * (tone - picture)
+
+    *_, ground, asphalt, paint = _columns(scene.light)
+    texture = np.zeros_like(x)
+    for k1, k2, phase, size in map(_columns, np.swapaxes(scene.waves, 0, 1)):
+        fade = np.exp(-(k1**2 + k2**2) * foot**2 / 8)  # fine waves average out in a pixel
+        texture += size * fade * np.sin(k1 * x + k2 * y + phase)
+    picture, X, Y = ground + texture, abs(x) / PAD, abs(y) / PAD
+    cx, cy, radius, grey = _columns(scene.decoy)
+    cover(grey, radius - np.hypot(x - cx, y - cy))
+    cover((ground + paint) / 2 + texture, PAD * (2.4 - X), PAD * (2.4 - Y))  # the apron
+    cover(asphalt + texture / 2, PAD * (1 - np.hypot(X, Y)))
+    cover(paint, PAD * (0.07 - abs(np.hypot(X, Y) - 0.88)))  # ring, legs and bar of the H
+    cover(paint, PAD * (0.07 - abs(X - 0.26)), PAD * (0.45 - Y))
+    cover(paint, PAD * (0.26 - X), PAD * (0.07 - Y))
+    for cx, cy, a, b, turn, grey, speed in map(_columns, np.swapaxes(scene.boxes, 0, 1)):
+        c, s = np.cos(turn), np.sin(turn)
+        p, q = x - cx - seconds * speed * c, y - cy - seconds * speed * s
+        for shift, tone in ((1, picture / 2), (0, grey)):  # the shadow, then the thing
+            dx, dy = p - shift, q + shift
+            cover(tone, a - abs(dx * c + dy * s), b - abs(dy * c - dx * s))
+    return picture
+
+
+# ---------------------------------------------------------------------------- models that learn
+
+
+class Layer(NamedTuple):
+    """Every second window of window^2 pixels, times weights, plus bias."""
+
+    weight: Pictures  #: (window^2 * channels, width)
+    bias: Pictures  #: (width,)
+    window: int
+
+
+class Network(NamedTuple):
+    """A small convolutional network that reads the altitude off a picture.
+
+    (N, side, side) -> windows of 4^2 -> windows of 3^2 -> one window of all -> one number, with
+    max(0, x) after all but the last.
+    """
+
+    side: int  #: of its pictures, in pixels
+    layers: list[Layer]
+
+    @property
+    def parameters(self) -> int:
+        """Number of trained weights, counted from the arrays."""
+        return sum(layer.weight.size + layer.bias.size for layer in self.layers)
+
+    @property
+    def multiply_adds(self) -> int:
+        """Multiplications a picture, counted from the arrays: each weight once a window."""
+        S, total = self.side, 0
+        for layer in self.layers:
+            S = (S - layer.window) // 2 + 1
+            total += S**2 * layer.weight.size
+        return total
+
+    def altitude(self, pictures: Pictures) -> Array:
+        """Estimate altitudes (N,) in feet, within range, from pictures (N, side, side)."""
+        log = CENTRE + SPREAD * forward(self.layers, pictures)[0].astype(np.float64)
+        return np.clip(np.exp(log) - MOUNT, LOWEST, HIGHEST)
+
+
+#: Networks b0 to b7: side of the picture, filters in the first layer, width of the third.
+ARCHITECTURE = (
+    *((12, 2, 8), (14, 3, 12), (16, 4, 16), (20, 6, 24)),
+    *((24, 8, 32), (28, 12, 32), (32, 16, 48), (36, 24, 48)),
+)
+#: Networks learn (log z - CENTRE) / SPREAD of the distance z, which has mean 0 and variance 1:
+#: pictures depend on ratios of distances, and errors that grow with z are equal in log z.
+CENTRE = math.log((LOWEST + MOUNT) * (HIGHEST + MOUNT)) / 2
+SPREAD = math.log((HIGHEST + MOUNT) / (LOWEST + MOUNT)) / math.sqrt(12)
+
+
+def new_network(shape: tuple[int, int, int], rng: np.random.Generator) -> Network:
+    """Draw a network of an `ARCHITECTURE` with N(0, 2 / inputs) weights (He et al. 2015)."""
+    side, filters, width = shape
+    layers, S, channels = [], side, 1
+    for window, out in ((4, filters), (3, 2 * filters), (0, width), (1, 1)):
+        k = window or S  # the third layer has one window, the whole picture
+        inputs = k * k * channels
+        size = math.sqrt(2 / inputs) * (0.1 if k == 1 else 1)  # estimates start close to the mean
+        weight = (size * rng.standard_normal((inputs, out))).astype(np.float32)
+        layers.append(Layer(weight, np.zeros(out, np.float32), k))
+        S, channels = (S - k) // 2 + 1, out
+    return Network(side, layers)
+
+
+def _windows(x: Pictures, k: int) -> Pictures:
+    """Cut (N, S, S, C) into windows (N, P, P, C k k) of side k, two pixels apart."""
+    cut = np.lib.stride_tricks.sliding_window_view(x, (k, k), axis=(1, 2))[:, ::2, ::2]
+    return cut.reshape(*cut.shape[:3], -1)
+
+
+def _fold(d: Pictures, k: int, shape: tuple[int, ...]) -> Pictures:
+    """Add windows up where they were cut from: the transpose of `_windows`."""
+    x, P = np.zeros(shape, d.dtype), d.shape[1]
+    d = d.reshape(*d.shape[:3], shape[-1], k, k)
+    for i, j in np.ndindex(k, k):
+        x[:, i : i + 2 * P - 1 : 2, j : j + 2 * P - 1 : 2] += d[..., i, j]
+    return x
+
+
+def forward(layers: Sequence[Layer], pictures: Pictures) -> tuple[Pictures, list[Any]]:
+    """Return outputs (N,), and the input and the windows of every layer.
+
+    Light and contrast are removed first: each picture gets mean 0 and deviation about 1.
+    """
+    x = pictures - pictures.mean(axis=(1, 2), keepdims=True)
+    x = (x / (x.std(axis=(1, 2), keepdims=True) + np.float32(0.05)))[..., None]
+    seen = []
+    for layer in layers:
+        cut = _windows(x, layer.window)
+        seen.append((x, cut))
+        x = cut @ layer.weight + layer.bias
+        if layer is not layers[-1]:
+            x = np.maximum(x, 0)
+    return x.ravel(), seen
+
+
+def gradients(
+    layers: Sequence[Layer], pictures: Pictures, target: Pictures
+) -> tuple[float, list[Pictures]]:
+    """Return the mean squared error, and its derivatives by each weight and bias in turn.
+
+    Backpropagation: of a layer X W + b with derivative d by its output, X'd is the derivative by
+    W, and d W' that by the windows X; max(0, x) passes on what was positive.
+    """
+    output, seen = forward(layers, pictures)
+    error = output - target
+    d: Pictures = (2 * error / len(error))[:, None, None, None]
+    found: list[Pictures] = []
+    for (x, cut), layer in reversed(list(zip(seen, layers, strict=True))):
+        flat = d.reshape(-1, d.shape[-1])
+        found = [cut.reshape(len(flat), -1).T @ flat, flat.sum(axis=0), *found]
+        d = _fold(d @ layer.weight.T, layer.window, x.shape)
+        d *= x > 0
+    return float((error**2).mean()), found
+
+
+def train_network(
+    network: Network, pictures: Pictures, altitude: Array, epochs: int, rng: np.random.Generator
+) -> Array:
+    """Train a network in place by Adam (Kingma and Ba 2015); return the loss (epochs,).
+
+    Batches of about 32 pictures, turned or mirrored at random, as the ground has no upright; the
+    step rises to 0.003 in the first epoch, and falls to 0 along a cosine.  The unit of the loss
+    is `SPREAD` squared.
+    """
+    arrays = [array for layer in network.layers for array in layer[:2]]
+    m, v = ([np.zeros_like(array) for array in arrays] for _ in range(2))
+    target = ((np.log(altitude + MOUNT) - CENTRE) / SPREAD).astype(np.float32)
+    batches, losses = -(-len(target) // 32), np.zeros(epochs)
+    for t in range(epochs * batches):
+        if t % batches == 0:
+            order = rng.permutation(len(target))
+        batch = order[t % batches :: batches]
+        turned = np.rot90(pictures[batch], int(rng.integers(4)), (1, 2))[:, :: rng.choice([-1, 1])]
+        loss, slopes = gradients(network.layers, turned, target[batch])
+        losses[t // batches] += loss / batches
+        rate = 0.003 * min((t + 1) / batches, (1 + math.cos(math.pi * t / (epochs * batches))) / 2)
+        for array, slope, first, second in zip(arrays, slopes, m, v, strict=True):
+            first += 0.1 * (slope - first)
+            second += 0.001 * (slope**2 - second)
+            scale = np.sqrt(second / (1 - 0.999 ** (t + 1))) + 1e-8
+            array -= rate * first / (1 - 0.9 ** (t + 1)) / scale
+    return losses
+
+
+class Trained(NamedTuple):
+    """W networks, how they learned, and how they err on pictures that they never saw."""
+
+    networks: list[Network]
+    losses: Array  #: (W, epochs), mean squared error in training, in units of SPREAD^2
+    residuals: Residuals  #: of the M held-out pictures, all those of the first network first
+
+
+def train_models(
+    rng: np.random.Generator,
+    *,
+    architecture: Sequence[tuple[int, int, int]] = ARCHITECTURE,
+    training: int = 2093,
+    held_out: int = 897,
+    epochs: int = 30,
+    progress: bool = False,
+) -> Trained:
+    """Photograph, train, and measure on pictures held out: ``subsec:expAirsim`` in small.
+
+    All networks see the same scenes, each at its own resolution.
+
+    Parameters
+    ----------
+    rng : numpy.random.Generator
+        Source of randomness.
+    architecture : sequence of (int, int, int)
+        Sizes of the networks, as in `ARCHITECTURE`.
+    training, held_out, epochs : int
+        Numbers of pictures, and of passes through the former, all >= 1; else ValueError.
+    progress : bool
+        Whether to show a bar, if the output is a terminal.
+    """
+    n, M = check_count("training", training), check_count("held_out", held_out)
+    passes, W = check_count("epochs", epochs), len(architecture)
+    scenes, h = draw_scenes(n + M, rng), draw_altitudes(n + M, rng)
+    networks, losses = [new_network(size, rng) for size in architecture], []
+    residuals = np.empty((W, M))
+    for w in tqdm(range(W), "Training", leave=False, disable=not progress or None):
+        pictures = photograph(scenes, h, networks[w].side, rng)
+        losses.append(train_network(networks[w], pictures[:n], h[:n], passes, rng))
+        residuals[w] = networks[w].altitude(pictures[n:]) - h[n:]
+    return Trained(networks, np.array(losses), _measured(np.tile(h[n:], W), residuals.ravel(), W))
+
+
+def _measured(altitude: Array, residual: Array, W: int) -> Residuals:
+    """Name the models of residuals that come in W blocks of equal length."""
+    model = np.repeat(np.arange(W), len(residual) // W)
+    return Residuals([f"b{w}" for w in range(W)], model, altitude, residual)
+
+
+def pack_models(trained: Trained, key: str) -> bytes:
+    """Return the .npz file from which `load_models` restores `trained`, marked with `key`."""
+    file, found = io.BytesIO(), trained.residuals
+    arrays: dict[str, Any] = {
+        "losses": trained.losses,
+        "altitude": found.altitude,
+        "residual": found.residual,
+    }
+    for w, network in enumerate(trained.networks):
+        for i, layer in enumerate(network.layers):
+            arrays |= {f"{w}.{i}.0": layer.weight, f"{w}.{i}.1": layer.bias}
+    np.savez(file, key=np.array(key), **arrays)
+    return file.getvalue()
+
+
+def load_models(
+    path: str | os.PathLike[str],
+    key: str,
+    architecture: Sequence[tuple[int, int, int]] = ARCHITECTURE,
+) -> Trained:
+    """Read a file of `pack_models`; ``allow_pickle=False``, so no code in it can run.
+
+    Parameters
+    ----------
+    path : str or path
+        The file.
+    key : str
+        The mark that it must bear, such as a hash of all settings that the models depend on.
+    architecture : sequence of (int, int, int)
+        Sizes of the networks that it must hold.
+
+    Raises
+    ------
+    ValueError
+        A file that is missing, damaged, foreign, or of other settings, in one line.
+    """
+    networks = [new_network(size, np.random.default_rng(0)) for size in architecture]
+    W = len(networks)
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            found = dict(file)
+        if str(found["key"]) != key:
+            raise ValueError(f"expected the key {key}, found {str(found['key'])[:40]}")
+        for w, network in enumerate(networks):
+            for i, layer in enumerate(network.layers):
+                for j, (axes, array) in enumerate(zip(("n k", "k"), layer[:2], strict=True)):
+                    name = f"{w}.{i}.{j}"
+                    array[...] = check_array(name, found[name], axes, array.shape)
+        losses = check_array("losses", found["losses"], "W epochs", (W, None))
+        return Trained(networks, losses, _measured(found["altitude"], found["residual"], W))
+    except Exception as error:  # damage can surface as almost any of them
+        why = " ".join(str(error).split())[:150]
+        raise ValueError(f"{path}: no file of these models, delete or move it: {why}") from None
 
 
 # ------------------------------------------------------------------------------------- checkers

@@ -10,11 +10,12 @@ import numpy as np
 import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
-from strategies import SEEDS, every_schedule, problems
 
 import modelselect as ms
 from modelselect import SelectionProblem
 from perception import published_suite, textbook_suite
+
+from strategies import SEEDS, every_schedule, problems
 
 EXACT = [
     ms.enumerate_schedules,
