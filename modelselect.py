@@ -55,6 +55,7 @@ An integrator that plans ahead, one model that is off by 1, one that costs 2 a s
 from __future__ import annotations
 
 import heapq
+import itertools
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -71,12 +72,14 @@ Choices = npt.NDArray[np.intp]
 
 INFORMATION = ("open_loop", "preview", "causal", "measurement")
 
-# A matrix counts as symmetric, or an eigenvalue as non-negative, up to this fraction of its
-# size: a thousand times what rounding leaves behind in a product of double-precision matrices.
+# A matrix of unit diagonal counts as symmetric, and an eigenvalue per row as non-negative, up to
+# this: a thousand times what rounding leaves behind in a product of double-precision matrices.
 MATRIX_TOLERANCE = 1e-12
 # A schedule counts as optimal when its relative gap is at most this.
 OPTIMALITY_GAP = 1e-9
-# The exact solvers treat costs as equal that differ by less than this fraction.
+# Passes of `dynamic_program`: labels kept a step.
+WIDTHS = [64 * 16**k for k in range(8)]
+# `dynamic_program` merges labels and truncates offsets up to this fraction of the cost.
 ROUNDING = 1e-10
 
 
@@ -163,22 +166,26 @@ def check_count(name: str, value: Any, *, minimum: int = 1) -> int:
 def check_semidefinite(name: str, matrices: Array, *, definite: bool = False) -> None:
     """Raise ValueError unless every (k, k) matrix is symmetric positive semidefinite.
 
-    The tolerance is relative to each matrix's trace (`MATRIX_TOLERANCE`), so the units of the
-    cost do not matter.  With `definite`, zero eigenvalues are refused as well.
+    Judged after scaling the diagonal to 1 (`MATRIX_TOLERANCE`), so that the units of cost and
+    perception do not matter, nor that they differ from row to row.  With `definite`, matrices
+    that are singular up to rounding are refused as well.
     """
-    size = np.trace(np.abs(matrices), axis1=-2, axis2=-1)
-    skew = np.abs(matrices - np.swapaxes(matrices, -1, -2)).max(axis=(-1, -2))
-    if np.any(skew > MATRIX_TOLERANCE * size):
+    k = matrices.shape[-1]
+    scale = np.sqrt(np.abs(np.diagonal(matrices, axis1=-2, axis2=-1)))
+    scale = np.where(scale > 0, scale, 1)
+    scaled = matrices / scale[..., None] / scale[..., None, :]
+    skew = np.abs(scaled - np.swapaxes(scaled, -1, -2)).max()
+    if skew > MATRIX_TOLERANCE:
         raise ValueError(
-            f"{name}: expected a symmetric matrix, found asymmetry {skew.max():.3g}; "
+            f"{name}: expected a symmetric matrix, found asymmetry {skew:.3g}; "
             f"symmetrise it first: ({name} + {name}.T) / 2"
         )
-    smallest = np.linalg.eigvalsh(matrices)[..., 0]
-    singular = 10 * np.finfo(float).eps * size  # what rounding makes of a zero eigenvalue
-    if np.any(smallest <= singular if definite else smallest < -MATRIX_TOLERANCE * size):
+    smallest = np.linalg.eigvalsh(scaled)[..., 0].min()
+    if smallest <= (10 * np.finfo(float).eps if definite else -MATRIX_TOLERANCE) * k:
         kind = "positive definite" if definite else "positive semidefinite"
         raise ValueError(
-            f"{name}: expected a {kind} matrix, found smallest eigenvalue {smallest.min():.3g}"
+            f"{name}: expected a {kind} matrix, found smallest eigenvalue {smallest:.3g} "
+            "(of the matrix scaled to unit diagonal)"
         )
 
 
@@ -416,7 +423,7 @@ def run_controller(
     H, n, p = task.horizon, task.n, task.p
     x = check_array("x0", x0, "n", (n,))
     s = check_array("s", s, "... H p", (H, p))
-    s_hat = check_array("s_hat", s_hat, "... H p", s.shape[-2:])
+    s_hat = check_array("s_hat", s_hat, "... H p", (H, p))
     if s.shape != s_hat.shape:
         raise ValueError(f"s_hat: expected the shape of s, {s.shape}, found {s_hat.shape}")
     if prior_mean is not None and information != "causal":
@@ -532,7 +539,7 @@ def psi(task: ControlTask, information: str = "open_loop") -> Array:
             Psi = la.block_diag(*_diagonal_blocks(task, information))
         else:
             Y = _open_loop_factor(task) if information == "open_loop" else _preview_factor(task)
-            Psi = (Y.T @ Y + (Y.T @ Y).T) / 2
+            Psi = Y.T @ Y
     if not np.isfinite(Psi).all():
         raise ValueError("task: Psi overflows; rescale the costs or C, or shorten the horizon")
     return np.asarray(Psi)
@@ -593,9 +600,9 @@ def _diagonal_blocks(task: ControlTask, information: str) -> Array:
 
 
 def preview_regret(task: ControlTask, errors: npt.ArrayLike) -> Any:
-    """e' Psi e of the ``preview`` pattern in O(H n^2), without forming Psi.
+    """e' Psi e of the ``preview`` pattern without Psi: O(H n^2) a trial, after `riccati`.
 
-    h_t = P_{t+1}C e_t + g_{t+1}, g_t = closed_loop_t'h_t, regret = sum_t (B'h_t)'S_t^{-1}(B'h_t).
+    h_t = P_{t+1}C e_t + q_{t+1}, q_t = closed_loop_t'h_t, regret = sum_t (B'h_t)'S_t^{-1}(B'h_t).
 
     Parameters
     ----------
@@ -620,8 +627,8 @@ def preview_regret(task: ControlTask, errors: npt.ArrayLike) -> Any:
     q = _costate(task, law, e)
     regret = np.zeros(e.shape[:-2])
     for t in range(task.horizon):
-        push = (e[..., t, :] @ (law.P[t + 1] @ C[t]).T + q[..., t + 1, :]) @ B[t]
-        regret += np.einsum("...i,ij,...j->...", push, np.linalg.inv(law.S[t]), push)
+        B_h = (e[..., t, :] @ (law.P[t + 1] @ C[t]).T + q[..., t + 1, :]) @ B[t]
+        regret += ((B_h @ np.linalg.inv(law.S[t])) * B_h).sum(axis=-1)
     return regret[()]
 
 
@@ -671,7 +678,7 @@ def from_one_hot(weights: npt.ArrayLike) -> Choices:
         Entries other than 0 and 1, or a row that does not hold exactly one 1.
     """
     b = check_array("weights", weights, "H W", (None, None))
-    if not (np.isin(b, (0, 1)).all() and (b.sum(axis=1) == 1).all()):
+    if not np.array_equal(b, np.eye(b.shape[1])[b.argmax(axis=1)]):
         raise ValueError("weights: expected a single 1 and otherwise 0 in every row")
     return np.asarray(b.argmax(axis=1))
 
@@ -747,6 +754,11 @@ class SelectionProblem:
         }
         for name, value in {**checked, **weights}.items():
             object.__setattr__(self, name, value)
+        with np.errstate(over="ignore", invalid="ignore"):
+            felt = np.abs(mean).max(axis=1).ravel()
+            largest = felt @ np.abs(self.quadratic) @ felt + np.abs(self.spread).sum()
+        if not largest < 1e300:
+            raise ValueError("psi: the costs overflow; rescale psi, mean, variance or alpha")
 
     @cached_property
     def quadratic(self) -> Array:
@@ -771,6 +783,18 @@ class SelectionProblem:
         unavailable = np.isinf(self.model_cost)  # also where beta = 0
         priced = self.beta * np.where(unavailable, 0, self.model_cost)
         return _read_only(self.alpha * self.spread + np.where(unavailable, np.inf, priced))
+
+    @cached_property
+    def rounding(self) -> float:
+        """How far rounding can move a cost near the optimum: what no solver can tell apart.
+
+        A unit in the last place of the terms that the cost of the greedy schedule is summed from:
+        models nobody would use do not count, however wrong or dear they are.
+        """
+        H, greedy = len(self.mean), stepwise_cost(self).argmin(axis=1)
+        linear = self.linear[np.arange(H), greedy]
+        quadratic = stepwise_cost(self)[np.arange(H), greedy] - linear
+        return float(np.finfo(float).eps * (quadratic.sum() + np.abs(linear).sum()))
 
     def chosen_mean(self, choices: npt.ArrayLike) -> Array:
         """Stack the mean errors mu_c of schedules (..., H) into vectors (..., pH)."""
@@ -841,7 +865,7 @@ class Schedule:
 
     @property
     def is_optimal(self) -> bool:
-        """Whether the gap is at most `OPTIMALITY_GAP`, so that nothing better is left."""
+        """Whether the gap is at most `OPTIMALITY_GAP`, so that nothing is better by more."""
         return self.gap <= OPTIMALITY_GAP
 
 
@@ -874,12 +898,21 @@ def reference_bound(problem: SelectionProblem, reference: npt.ArrayLike) -> tupl
     ValueError
         A wrong shape or a number that is not finite.
     """
-    H, _, p = problem.mean.shape
-    d = check_array("reference", reference, "pH", (p * H,))
-    pull = problem.quadratic @ d
-    G = 2 * np.einsum("twi,ti->tw", problem.mean, pull.reshape(H, p)) + problem.linear
+    d = check_array("reference", reference, "pH", (len(problem.psi),))
+    G, constant = _slopes(problem, problem.linear, d)
     lowest = G.min(axis=1)
-    return float(lowest.sum() - d @ pull), G - lowest[:, None]
+    return float(lowest.sum() + constant), G - lowest[:, None]
+
+
+def _slopes(problem: SelectionProblem, linear: Array, d: Array) -> tuple[Array, float]:
+    """G (H, W) less each step's least l, and what is missing for LB(d) = sum_t min_w G + constant.
+
+    Leaving out the least l first saves the digits that a large common price would cost.
+    """
+    pull, cheapest = problem.quadratic @ d, linear.min(axis=1)
+    H, _, p = problem.mean.shape
+    G = 2 * np.einsum("twi,ti->tw", problem.mean, pull.reshape(H, p)) + (linear - cheapest[:, None])
+    return G, float(cheapest.sum() - d @ pull)
 
 
 def check_certificate(problem: SelectionProblem, schedule: Schedule) -> float:
@@ -920,7 +953,7 @@ def check_certificate(problem: SelectionProblem, schedule: Schedule) -> float:
     return bound
 
 
-# ----------------------------------------------------------------------- solvers: enumeration
+# ------------------------------------------------------------------- solvers: what they share
 
 
 def _certified(
@@ -933,8 +966,20 @@ def _certified(
 ) -> Schedule:
     """Make a Schedule: the root bound from the reference, the better of it and `proved`."""
     c = _read_only(np.array(choices, dtype=np.intp))
-    cost, root = float(problem.total_cost(c)), reference_bound(problem, reference)[0]
-    return Schedule(c, cost, min(cost, max(root, proved)), root, reference, solver, work)
+    d = _read_only(np.array(reference))
+    cost, root = float(problem.total_cost(c)), reference_bound(problem, d)[0]
+    return Schedule(c, cost, min(cost, max(root, proved)), root, d, solver, work)
+
+
+def _stopwatch(time_limit: float | None) -> Callable[[], bool]:
+    """Return a function that tells whether the time limit (in seconds, if any) is over."""
+    if time_limit is None:
+        return lambda: False
+    end = perf_counter() + check_number("time_limit", time_limit, minimum=0)
+    return lambda: perf_counter() >= end
+
+
+# ----------------------------------------------------------------------- solvers: enumeration
 
 
 def enumerate_schedules(problem: SelectionProblem, *, max_schedules: int = 2**22) -> Schedule:
@@ -959,6 +1004,7 @@ def enumerate_schedules(problem: SelectionProblem, *, max_schedules: int = 2**22
         If there are more than `max_schedules`.
     """
     H, W, _ = problem.mean.shape
+    max_schedules = check_count("max_schedules", max_schedules)
     if W**H > max_schedules:
         raise ValueError(f"problem: expected at most {max_schedules} schedules, found {W}^{H}")
     best, lowest = np.zeros(H, dtype=np.intp), math.inf
@@ -968,9 +1014,24 @@ def enumerate_schedules(problem: SelectionProblem, *, max_schedules: int = 2**22
         costs = problem.total_cost(block)
         if costs.min() < lowest:
             best, lowest = block[costs.argmin()], costs.min()
+    cost = float(problem.total_cost(best))
     return _certified(
-        problem, best, problem.chosen_mean(best), "enumerate_schedules", lowest, schedules=W**H
+        problem, best, problem.chosen_mean(best), "enumerate_schedules", cost, schedules=W**H
     )
+
+
+def is_separable(problem: SelectionProblem) -> bool:
+    """Whether no mean error at one step meets one at another step through Psi."""
+    H, _, p = problem.mean.shape
+    felt = (problem.mean != 0).any(axis=1).ravel() & (problem.alpha != 0)
+    meets = ((problem.psi != 0) & felt[:, None] & felt).reshape(H, p, H, p).any(axis=(1, 3))
+    return not (meets & ~np.eye(H, dtype=bool)).any()
+
+
+def stepwise_cost(problem: SelectionProblem) -> Array:
+    """Cost (H, W) of each model at each step alone: alpha mu'Psi_tt mu + l, coupling ignored."""
+    own = np.einsum("twi,tij,twj->tw", problem.mean, problem.blocks, problem.mean)
+    return np.asarray(problem.alpha * own + problem.linear)
 
 
 def solve_separable(problem: SelectionProblem) -> Schedule:
@@ -1001,20 +1062,6 @@ def solve_separable(problem: SelectionProblem) -> Schedule:
     return _certified(problem, choices, problem.chosen_mean(choices), "solve_separable", cost)
 
 
-def is_separable(problem: SelectionProblem) -> bool:
-    """Whether no mean error at one step meets one at another step through Psi."""
-    H, _, p = problem.mean.shape
-    felt = (problem.mean != 0).any(axis=1).ravel() & (problem.alpha != 0)
-    meets = ((problem.psi != 0) & felt[:, None] & felt).reshape(H, p, H, p).any(axis=(1, 3))
-    return not (meets & ~np.eye(H, dtype=bool)).any()
-
-
-def stepwise_cost(problem: SelectionProblem) -> Array:
-    """Cost (H, W) of each model at each step alone: alpha mu'Psi_tt mu + l, coupling ignored."""
-    own = np.einsum("twi,tij,twj->tw", problem.mean, problem.blocks, problem.mean)
-    return np.asarray(problem.alpha * own + problem.linear)
-
-
 # ------------------------------------------------------------------- solvers: the relaxation
 
 
@@ -1038,17 +1085,15 @@ class Relaxation(NamedTuple):
 def _relaxed(
     problem: SelectionProblem, linear: Array, b: Array, iteration: int
 ) -> tuple[Relaxation, Array]:
-    """Evaluate f(b) = d'(alpha Psi)d + l.b, its bound, and its gradient G = 2 mu'(alpha Psi d) + l.
+    """Evaluate f(b) = d'(alpha Psi)d + l.b, its bound LB(d), and its gradient G (`_slopes`).
 
-    l and G are infinite where a model may not be used.  f(b) - LB(d) = G.b - sum_t min_w G[t,w].
+    l and G are infinite where a model may not be used.  f(b) = LB(d) + G.b - sum_t min_w G[t,w].
     """
-    H, _, p = problem.mean.shape
     d = np.einsum("tw,twi->ti", b, problem.mean).ravel()
-    pull = problem.quadratic @ d
-    G = 2 * np.einsum("twi,ti->tw", problem.mean, pull.reshape(H, p)) + linear
-    lowest, quadratic = G.min(axis=1), d @ pull
-    value = quadratic + np.where(b > 0, linear, 0).ravel() @ b.ravel()
-    return Relaxation(b, d, float(value), float(lowest.sum() - quadratic), iteration), G
+    G, constant = _slopes(problem, linear, d)
+    bound = G.min(axis=1).sum() + constant
+    surplus = np.where(b > 0, G - G.min(axis=1, keepdims=True), 0)
+    return Relaxation(b, d, float(bound + (surplus * b).sum()), float(bound), iteration), G
 
 
 def _block_root(S: Array) -> Array:
@@ -1062,7 +1107,7 @@ def _congruence(F: Array, M: Array) -> Array:
     k, p, _ = F.shape
 
     def halfway(X: Array) -> Array:
-        return np.asarray(np.einsum("tji,tjn->tin", F, X.reshape(k, p, -1)).reshape(k * p, -1))
+        return np.asarray(np.matmul(np.swapaxes(F, 1, 2), X.reshape(k, p, -1)).reshape(k * p, -1))
 
     return halfway(halfway(M).T)
 
@@ -1197,7 +1242,7 @@ def relax(
     largest = max(1, la.eigvalsh(scale[:, None] * M * scale)[-1])
     step = 1 / (2 * largest * size)[:, None]
 
-    def project(b: Array) -> Array:
+    def project(b: Array) -> Array:  # more than 1 below the largest entry: no weight
         shunned = np.where(allowed, b, np.inf).min(axis=1, keepdims=True) - 2
         return project_to_simplex(np.where(allowed, b, shunned))
 
@@ -1206,9 +1251,8 @@ def relax(
         return point.value, point.bound, np.where(allowed, G, 0)
 
     start = allowed / allowed.sum(axis=1, keepdims=True)
-    negligible = _rounding(problem, _relaxed(problem, problem.linear, start, 0)[0].reference)
     b, iterations = projected_gradient(
-        evaluate, project, start, step, gap, negligible, max_iterations
+        evaluate, project, start, step, gap, problem.rounding, max_iterations
     )
     return _relaxed(problem, problem.linear, b, iterations)[0]
 
@@ -1230,7 +1274,7 @@ def relax_interior_point(
 
         z db + b dz = tau - b z,   dz = 2 mu'v - dy,   v = M dd,   dd = sum_w mu db,   sum_w db = 0
 
-    leaves dd = a - 2 S v with S_t = F_t F_t' the covariance of mu[t] under weights b/z, hence one
+    leaves dd = a - 2 S v with S_t = F_t F_t' the scatter of mu[t] under weights b/z, hence one
     positive definite system (I + 2 F'MF) x = F'M a and v = M(a - 2 F x): size pH, not HW.
 
     Parameters
@@ -1251,10 +1295,27 @@ def relax_interior_point(
     Returns
     -------
     Relaxation
-        The iterate of the best bound, over schedules of allowed models.
+        The iterate of the smallest gap, over schedules of allowed models.
+
+    Raises
+    ------
+    ValueError
+        An option out of range, or a step at which no available model is allowed.
     """
     expired, p = _stopwatch(time_limit), problem.mean.shape[2]
-    usable = np.isfinite(problem.linear) if allowed is None else allowed
+    usable = np.isfinite(problem.linear) if allowed is None else np.asarray(allowed, dtype=bool)
+    if (
+        usable.shape != problem.linear.shape
+        or not (usable & np.isfinite(problem.linear)).any(1).all()
+    ):
+        raise ValueError(
+            f"allowed: expected an available model in every row of {usable.shape}, found none"
+        )
+    usable = usable & np.isfinite(problem.linear)
+    gap, max_iterations = (
+        check_number("gap", gap, minimum=0),
+        check_count("max_iterations", max_iterations),
+    )
     linear = np.where(usable, problem.linear, np.inf)
     free = np.flatnonzero(usable.sum(axis=1) > 1)
     index = (free[:, None] * p + np.arange(p)).ravel()
@@ -1263,8 +1324,8 @@ def relax_interior_point(
 
     weights = usable / usable.sum(axis=1, keepdims=True)
     best, G = point, _ = _relaxed(problem, linear, weights, 0)
-    negligible, tau = _rounding(problem, best.reference), math.inf
-    lowest = G[free].min(axis=1)
+    negligible, tau = problem.rounding, math.inf
+    lowest = G[free].min(axis=1)  # slacks z = G - y: what G exceeds its least by, plus a margin
     y = lowest - np.where(inside, G[free] - lowest[:, None], 0).sum() / max(len(free), 1)
     for iteration in range(1, max_iterations + 1):
         within = max(gap * max(abs(point.value), abs(point.bound)), negligible)
@@ -1273,14 +1334,15 @@ def relax_interior_point(
             break
         b, z = weights[free], np.where(inside, G[free] - y[:, None], 1)
         tau, previous = float((b * z)[inside].mean()), tau
-        if not tau < previous:
+        if not (tau < previous and z.min() > 0):
             break  # rounding has the upper hand; the best bound so far stands
         db, dy = _newton_step(M, mu, inside, b, z)
         weights = weights.copy()
         weights[free] = np.maximum(b + db, 0)
         weights[free] /= weights[free].sum(axis=1, keepdims=True)
         point, G = _relaxed(problem, linear, weights, iteration)
-        y = np.minimum(y + dy, G[free].min(axis=1) - 1e-3 * tau)  # rounding must not close z
+        lowest = G[free].min(axis=1)  # rounding must not close z
+        y = np.minimum(y + dy, lowest - np.maximum(1e-3 * tau, 1e-15 * np.abs(lowest)))
         best = min(best, point, key=lambda it: it.value - it.bound)
     return best
 
@@ -1389,7 +1451,7 @@ def _triangle(problem: SelectionProblem, reference: Array, budget: float = 0.0) 
 
     A diagonal shift s adds sum_r s_r e_r^2, which depends on one step's model only, so it can
     be subtracted there: the identity stays exact, and a singular Psi has a Cholesky factor.  The
-    bound loses a little; we spend a hundredth of the budget on a factor with small errors.
+    bound loses a little: at most a hundredth of the budget, plus what rounding needs.
     """
     H, _, p = problem.mean.shape
     bound, reduced = reference_bound(problem, reference)
@@ -1397,7 +1459,7 @@ def _triangle(problem: SelectionProblem, reference: Array, budget: float = 0.0) 
     diagonal = problem.quadratic.diagonal()
     most = (deviation**2).max(axis=1).ravel() @ diagonal
     share = min(1e-6, max(0.0, budget) / 100 / max(most, np.finfo(float).tiny))
-    shift = share * diagonal + MATRIX_TOLERANCE * diagonal.sum() + np.finfo(float).tiny
+    shift = (share + MATRIX_TOLERANCE * len(diagonal)) * diagonal + np.finfo(float).tiny
     reduced = reduced - np.einsum("twi,ti->tw", deviation**2, shift.reshape(H, p))
     lowest = reduced.min(axis=1)
     U = la.cholesky(problem.quadratic + np.diag(shift))
@@ -1429,36 +1491,37 @@ def plain_dynamic_program(problem: SelectionProblem, *, max_labels: int = 2**18)
         If W^H exceeds `max_labels`.
     """
     H, W, p = problem.mean.shape
+    max_labels = check_count("max_labels", max_labels)
     if W**H > max_labels:
         raise ValueError(f"problem: expected at most {max_labels} labels, found {W}^{H}")
     reference = relax_interior_point(problem).reference
-    bound, reduced, e, U = _triangle(problem, reference)
+    _, reduced, e, U = _triangle(problem, reference)
     labels: list[tuple[Any, Array, tuple[int, ...]]] = [(0.0, np.zeros(H * p), ())]
     for t in reversed(range(H)):
         rows = slice(t * p, (t + 1) * p)
-        labels = [
-            (
-                extra + reduced[t, w] + sum((y + U[:, rows] @ e[t, w])[rows] ** 2),
-                y + U[:, rows] @ e[t, w],
-                (w, *later),
-            )
+        grown = (
+            (extra + reduced[t, w], y + U[:, rows] @ e[t, w], (w, *later))
             for extra, y, later in labels
             for w in range(W)
-        ]
-    extra, _, choices = min(labels, key=lambda label: label[0])
+        )
+        labels = [(extra + (y[rows] ** 2).sum(), y, choices) for extra, y, choices in grown]
+    _, _, choices = min(labels, key=lambda label: label[0])
+    cost = float(problem.total_cost(choices))
     return _certified(
-        problem, choices, reference, "plain_dynamic_program", bound + extra, labels=len(labels)
+        problem, choices, reference, "plain_dynamic_program", cost, labels=len(labels)
     )
 
 
-def _compress(triangle: _Triangle, least: float) -> list[tuple[Array, Array, Array]]:
+def _compress(
+    triangle: _Triangle, least: float, expired: Callable[[], bool]
+) -> list[tuple[Array, Array, Array]]:
     """Coordinates for offsets: (read, carry, push) of each step.
 
     The offset on the rows before step t lies in the range of U[:tp, tp:], whose rank is small
     (n or 2n).  With an orthonormal basis V_t of it, coordinates y_t = V_t'offset keep all
     distances, and choosing e at step t gives y_t = carry y_{t+1} + push e; read y_{t+1} is the
-    offset on the rows of step t itself.  Directions are dropped where no choice of e can give
-    an offset of `least`.
+    offset on the rows of step t itself.  A direction of strength (singular value) at
+    most `least` is dropped: it carries no offset above sqrt(pH) least.  Empty if time is over.
     """
     _, _, deviation, U = triangle
     H, _, p = deviation.shape
@@ -1466,6 +1529,8 @@ def _compress(triangle: _Triangle, least: float) -> list[tuple[Array, Array, Arr
     steps: list[tuple[Array, Array, Array]] = [None] * H  # type: ignore[list-item]
     basis = scaled = np.zeros((H * p, 0))
     for t in reversed(range(H)):
+        if expired():
+            return []
         rows, before = slice(t * p, (t + 1) * p), slice(0, t * p)
         column = U[before, rows]
         V, strength, _ = la.svd(
@@ -1475,6 +1540,10 @@ def _compress(triangle: _Triangle, least: float) -> list[tuple[Array, Array, Arr
         steps[t] = (basis[rows], V.T @ basis[before], V.T @ column)
         basis, scaled = V, V * strength[: V.shape[1]]
     return steps
+
+
+# Cells of `_undominated`: the root of the budget, halved so often; the last merges equal offsets.
+GRIDS = (0, 2, 4, 6, 24)
 
 
 def _undominated(
@@ -1489,11 +1558,11 @@ def _undominated(
         extra_i + 2 rho sqrt(budget - extra_j) + rho^2 <= extra_j.
 
     Any label may be tested against any cheaper one; we test against the cheapest label of the
-    same grid cell, for cells from the size of the budget down to where rounding begins.
+    same grid cell, for cells of several sizes.  (Cells may share a hash: the test is exact.)
     """
     alive = np.arange(len(extra))
     hashing = np.cumprod(np.full(y.shape[1], 0x9E3779B97F4A7C15, dtype=np.uint64))
-    for halvings in (0, 2, 4, 6, 24):  # the last merges what differs by rounding
+    for halvings in GRIDS:
         if len(alive) < 2 or expired():
             break
         width = math.sqrt(budget) / 2**halvings
@@ -1505,26 +1574,18 @@ def _undominated(
         i = alive[np.repeat(cheapest, np.diff(np.append(starts, len(order))))]
         j = alive[order]
         rho2 = ((y[i] - y[j]) ** 2).sum(axis=1)
-        reach = 2 * np.sqrt(rho2 * np.maximum(budget - extra[j], 0))
+        reach = 2 * np.sqrt(rho2) * np.sqrt(np.maximum(budget - extra[j], 0))
         alive = np.sort(j[(i == j) | (extra[i] + reach + rho2 > extra[j] + slack)])
     kept = np.zeros(len(extra), dtype=bool)
     kept[alive] = True
     return kept
 
 
-def _rounding(problem: SelectionProblem, reference: Array) -> float:
-    """Size of the rounding errors in costs near a reference: what a solver cannot tell apart."""
-    H, _, p = problem.mean.shape
-    away = problem.mean - reference.reshape(H, 1, p)
-    diagonal = problem.quadratic.diagonal().reshape(H, p)
-    return float(1e-14 * H * np.einsum("twi,ti->tw", away**2, diagonal).max())
-
-
 def dynamic_program(
     problem: SelectionProblem,
     *,
     time_limit: float | None = None,
-    max_labels: int = 20_000,
+    max_labels: int = WIDTHS[2],
     gap: float = OPTIMALITY_GAP,
     relaxation: Relaxation | None = None,
 ) -> Schedule:
@@ -1535,9 +1596,10 @@ def dynamic_program(
     that a cheaper label at nearly the same offset dominates (`_undominated`).  What remains is
     a handful of labels, though the worst case is exponential: the problem is NP-hard.
 
-    A narrow pass with 64 labels a step, then one with `max_labels`.  A pass that had to drop
+    Passes keep at most 64, then 1024, then 16384 labels a step.  A pass that had to drop
     labels proves the least extra cost it dropped; one that did not is a proof of optimality (up
-    to `ROUNDING`); and a better schedule found by the first shrinks the budget of the second.
+    to `ROUNDING` and to rounding errors); and a better schedule found by one pass shrinks
+    the budget of the next.
 
     Parameters
     ----------
@@ -1546,7 +1608,7 @@ def dynamic_program(
     time_limit : float, optional
         Seconds after which the best schedule and bound so far are returned.
     max_labels : int
-        Most labels kept a step; bounds memory.
+        Most labels kept a step, at least 64: bounds memory and time.
     gap : float
         Stop when cost and bound agree to this fraction.
     relaxation : Relaxation, optional
@@ -1563,29 +1625,36 @@ def dynamic_program(
         A limit out of range.
     """
     expired = _stopwatch(time_limit)
-    started, widest = perf_counter(), check_count("max_labels", max_labels)
+    started, max_labels = perf_counter(), check_count("max_labels", max_labels, minimum=WIDTHS[0])
+    gap = check_number("gap", gap, minimum=0)
     if relaxation is None:
         relaxation = relax_interior_point(problem, time_limit=time_limit)
     first = round_and_swap(problem, relaxation)
     best, cost, proved = first.choices, first.cost, first.root_bound
     triangle = _triangle(problem, relaxation.reference, cost - proved)
-    negligible = _rounding(problem, relaxation.reference)
-    steps = None
-    labels, passes = np.zeros(len(problem.mean), dtype=int), 0
-    for width in sorted({min(64, widest), widest}):
+    steps: list[tuple[Array, Array, Array]] = []
+    (H, _, p), passes = problem.mean.shape, 0
+    labels = np.zeros(H, dtype=int)
+    for width in itertools.takewhile(lambda labels: labels <= max_labels, WIDTHS):
         if cost - proved <= gap * max(abs(cost), abs(proved)) or (passes and expired()):
             break
-        slack = ROUNDING * max(abs(cost), abs(proved)) + negligible
+        slack = ROUNDING * min(abs(cost), abs(proved)) + problem.rounding
         budget = cost - triangle.bound + slack
-        # An offset wrong by x changes a tail of cost q by at most 2 x sqrt(q) + x^2.
-        steps = steps or _compress(triangle, slack / (2 * math.sqrt(budget * len(labels))))
-        found, missed, labels = _decode(triangle, steps, budget, slack, width, expired)
+        # In all, offsets are wrong by at most x = H sqrt(pH) least, which changes a tail of cost q
+        # by at most 2 x sqrt(q) + x^2.
+        least = slack / (2 * H**1.5 * math.sqrt(p * budget))
+        steps = steps or _compress(triangle, least, expired)
+        if not steps:
+            break
+        # Merging may lose a slack in all, and what rounding has blurred.
+        merge = slack / (len(GRIDS) * H) + 16 * problem.rounding
+        found, missed, labels = _decode(triangle, steps, budget, merge, width, expired)
         passes += 1
         if found is not None:
             found, _ = _swap(problem, found)
             if problem.total_cost(found) < cost:
                 best, cost = found, float(problem.total_cost(found))
-        proved = max(proved, min(cost, triangle.bound + missed - slack))
+        proved = max(proved, min(cost, triangle.bound + missed) - 2 * slack)  # merged, truncated
         if missed == math.inf:
             break
     return _certified(
@@ -1604,7 +1673,7 @@ def _decode(
     triangle: _Triangle,
     steps: list[tuple[Array, Array, Array]],
     budget: float,
-    slack: float,
+    merge: float,
     width: int,
     expired: Callable[[], bool],
 ) -> tuple[Choices | None, float, npt.NDArray[np.int_]]:
@@ -1624,7 +1693,7 @@ def _decode(
         parent, child = parent[order], child[order]
         extra = grown[parent, child]
         y = (y @ carry.T)[parent] + (deviation[t, models] @ push.T)[child]
-        kept = np.flatnonzero(_undominated(extra, y, budget, slack / H, expired))
+        kept = np.flatnonzero(_undominated(extra, y, budget, merge, expired))
         most = min(width, 64) if expired() else width  # out of time: finish on a narrow beam
         if len(kept) > most:
             missed = min(missed, float(extra[kept[most]]))
@@ -1638,14 +1707,6 @@ def _decode(
     for t, (parent, models) in enumerate(reversed(trail)):
         choices[t], label = models[label], parent[label]
     return choices, missed, labels
-
-
-def _stopwatch(time_limit: float | None) -> Callable[[], bool]:
-    """Return a function that tells whether the time limit (in seconds, if any) is over."""
-    if time_limit is None:
-        return lambda: False
-    end = perf_counter() + check_number("time_limit", time_limit, minimum=0)
-    return lambda: perf_counter() >= end
 
 
 # --------------------------------------------------------------- solvers: branch and bound
@@ -1668,14 +1729,15 @@ def branch_and_bound(
     time_limit: float | None = None,
     max_nodes: int | None = None,
     gap: float = OPTIMALITY_GAP,
+    relaxation: Relaxation | None = None,
 ) -> Schedule:
     """Split the problem where rounding hurts most, always the part with the lowest bound next.
 
     Every node relaxes what is still open, rounds the result to a schedule, and forbids for all
     its children the models whose reduced cost exceeds best - bound.  Its children settle the
-    step with the largest spread sum_w b[t,w] |mu[t,w] - d_t|^2 in the metric of Psi_tt.  Nodes
-    that cannot beat the best schedule are dropped.  Best first expands no node that another
-    order could avoid, and its lower bound only rises.
+    step with the largest blur sum_w b[t,w] |mu[t,w] - d_t|^2, weighed by Psi's diagonal.  Nodes
+    that cannot beat the best schedule are dropped.  Best first expands only nodes
+    whose bound is below the optimum, and its lower bound only rises.
 
     Parameters
     ----------
@@ -1687,6 +1749,8 @@ def branch_and_bound(
         Most nodes bounded.
     gap : float
         Stop when cost and bound agree to this fraction.
+    relaxation : Relaxation, optional
+        Of the root; `relax_interior_point` by default.
 
     Returns
     -------
@@ -1700,20 +1764,21 @@ def branch_and_bound(
     """
     expired, started = _stopwatch(time_limit), perf_counter()
     most = math.inf if max_nodes is None else check_count("max_nodes", max_nodes)
-    root = relax_interior_point(problem, gap=gap / 10, time_limit=time_limit)
+    gap, root = check_number("gap", gap, minimum=0), relaxation
+    if root is None:
+        root = relax_interior_point(problem, gap=gap / 10, time_limit=time_limit)
     incumbent = round_and_swap(problem, root)
     best, cost, lower = incumbent.choices, incumbent.cost, root.bound
-    noise = _rounding(problem, root.reference)
     tree = [Node(-1, -1, -1, lower, perf_counter() - started, cost)]
     allowed, step = _narrow(problem, np.isfinite(problem.linear), root, cost)
     queue = [(lower, 0, allowed, step)]
     while queue and len(tree) < most and not expired():
         lower, parent, allowed, step = queue[0]
-        if cost - lower <= max(gap * max(abs(cost), abs(lower)), noise):
+        if cost - lower <= max(gap * max(abs(cost), abs(lower)), problem.rounding):
             break
         node = heapq.heappop(queue)
         for model in np.flatnonzero(allowed[step]):
-            if expired():
+            if expired() or len(tree) >= most:
                 heapq.heappush(queue, node)  # its bound must not be lost
                 break
             child = allowed.copy()
@@ -1728,7 +1793,7 @@ def branch_and_bound(
                 best, cost = candidate, float(problem.total_cost(candidate))
             if bound < cost and child[undecided].sum() > 1:
                 heapq.heappush(queue, (bound, len(tree) - 1, child, undecided))
-    lower = queue[0][0] if queue and cost - queue[0][0] > noise else cost
+    lower = queue[0][0] if queue else cost
     return _certified(
         problem,
         best,
@@ -1754,8 +1819,8 @@ def _narrow(
     narrowed[np.arange(H), G.argmin(axis=1)] = True
     away = (problem.mean - point.reference.reshape(H, 1, p)) ** 2
     weight = problem.quadratic.diagonal().reshape(H, 1, p)
-    spread = (point.weights * (away * weight).sum(axis=-1)).sum(axis=1)
-    return narrowed, int(np.where(narrowed.sum(axis=1) > 1, spread, -1.0).argmax())
+    blur = (point.weights * (away * weight).sum(axis=-1)).sum(axis=1)
+    return narrowed, int(np.where(narrowed.sum(axis=1) > 1, blur, -1.0).argmax())
 
 
 # ------------------------------------------------------------------------ solvers: all in one
@@ -1766,13 +1831,14 @@ def solve(
     *,
     time_limit: float | None = None,
     gap: float = OPTIMALITY_GAP,
-    max_labels: int = 20_000,
+    max_labels: int = WIDTHS[2],
 ) -> Schedule:
     """Find and certify a best schedule by the cheapest way that proves it.
 
     Uncoupled steps: one minimum per step.  Otherwise relax, round and swap; if the gap is still
-    open, `dynamic_program`.  Should that not settle it in half of the time limit, the other half
-    goes to `branch_and_bound`; the best schedule and the highest proved bound come back.
+    open, `dynamic_program`.  Given a time limit, it gets half; the rest goes to
+    `branch_and_bound`, and the best schedule and the highest proved bound come back.  Without
+    one, `max_labels` may leave a gap.
 
     Parameters
     ----------
@@ -1783,7 +1849,7 @@ def solve(
     gap : float
         Stop when cost and bound agree to this fraction.
     max_labels : int
-        Most labels kept a step by `dynamic_program`; bounds memory.
+        Most labels kept a step by `dynamic_program`, at least 64.
 
     Returns
     -------
@@ -1796,7 +1862,8 @@ def solve(
         A limit out of range.
     """
     gap = check_number("gap", gap, minimum=0)
-    max_labels, started = check_count("max_labels", max_labels), perf_counter()
+    max_labels = check_count("max_labels", max_labels, minimum=WIDTHS[0])
+    started = perf_counter()
     expired = _stopwatch(time_limit)
     if is_separable(problem):
         return solve_separable(problem)
@@ -1810,10 +1877,10 @@ def solve(
     decoded = dynamic_program(
         problem, time_limit=left / 2, max_labels=max_labels, gap=gap, relaxation=relaxation
     )
-    left = max(0.0, time_limit - (perf_counter() - started))
-    if decoded.gap <= gap:
+    left = time_limit - (perf_counter() - started)
+    if decoded.gap <= gap or left <= 0:
         return decoded
-    searched = branch_and_bound(problem, time_limit=left, gap=gap)
+    searched = branch_and_bound(problem, time_limit=left, gap=gap, relaxation=relaxation)
     best = min(decoded, searched, key=lambda schedule: schedule.cost)
     bound = max(decoded.lower_bound, searched.lower_bound)
     return replace(best, lower_bound=min(best.cost, bound))
@@ -1901,11 +1968,12 @@ def correlated_cost(
     blocks = [[block(t, k) for k in range(H)] for t in range(H)]
     joint = check_array("covariance", np.block(blocks), "pH pH", (p * H, p * H))
     check_semidefinite("covariance", joint)
-    independent = problem.alpha * problem.spread[np.arange(H), c].sum()
-    return float(problem.total_cost(c) - independent + (problem.quadratic * joint).sum())
+    mu = problem.chosen_mean(c)
+    control = mu @ problem.psi @ mu + (problem.psi * joint).sum()
+    return float(problem.alpha * control + problem.beta * problem.perception_term(c))
 
 
-# ----------------------------------------------------------------- continuous choices (IV)
+# ----------------------------------------------- continuous choices (section V, Problem 4)
 
 
 @dataclass(frozen=True, eq=False)
@@ -1943,7 +2011,7 @@ class BlendProblem:
             w = check_count(name, getattr(self, name), minimum=-W)
             if w >= W or not np.isfinite(self.problem.linear[:, w]).all():
                 raise ValueError(f"{name}: expected an available model of {W}, found {w}")
-            object.__setattr__(self, name, w)
+            object.__setattr__(self, name, w % W)
 
     @cached_property
     def _differences(self) -> Array:
@@ -1967,11 +2035,7 @@ class BlendProblem:
     @cached_property
     def constant(self) -> float:
         """f(0): the worst model throughout."""
-        return float(
-            self.problem.total_cost(
-                np.full(len(self.linear), self.worst % self.problem.mean.shape[1])
-            )
-        )
+        return float(self.problem.total_cost(np.full(len(self.linear), self.worst)))
 
     def total_cost(self, blend: npt.ArrayLike) -> Any:
         """Return f(c) of blends (..., H)."""
@@ -2029,7 +2093,7 @@ def solve_blend(
         return np.clip(c, 0, 1)
 
     half = np.full(len(g), 0.5)
-    negligible = _rounding(blend.problem, np.zeros(len(blend.problem.psi)))
+    negligible = blend.problem.rounding
     c, iterations = projected_gradient(
         evaluate, project, half, step, gap, negligible, max_iterations
     )
@@ -2100,7 +2164,7 @@ def partition_problem(integers: Sequence[int], information: str = "open_loop") -
     ValueError
         An entry that is not a positive integer, too large a sum, or another pattern.
     """
-    a = [check_count("integers", value) for value in integers]
+    a = [check_count("integers", value) for value in as_numbers("integers", integers)]
     H = check_count("len(integers)", len(a))
     if sum(a) > 1e7:
         raise ValueError(f"integers: expected a sum of at most 1e7, found {sum(a)}")

@@ -554,7 +554,7 @@ class Scene(NamedTuple):
 def draw_pose(count: int, rng: np.random.Generator) -> Array:
     """Draw pitch, roll, offset per ft of distance (2), heading, blur, shake and dust (count, 8)."""
     pose = _check_rng(rng).standard_normal((check_count("count", count), 8))
-    pose *= [0.05, 0.05, 0.05, 0.05, 0.6, 0.01, 0.04, 0.3]
+    pose *= [0.05, 0.05, 0.05, 0.05, 0.6, 0.01, 0.06, 0.3]
     return pose
 
 
@@ -716,8 +716,8 @@ class Network(NamedTuple):
 
 #: Networks b0 to b7: side of the picture, filters in the first layer, width of the third.
 ARCHITECTURE = (
-    *((12, 2, 8), (14, 3, 12), (16, 4, 16), (20, 6, 24)),
-    *((24, 8, 32), (28, 12, 32), (32, 16, 48), (36, 24, 48)),
+    *((12, 2, 8), (16, 3, 12), (20, 4, 16), (24, 6, 24)),
+    *((28, 8, 32), (32, 10, 32), (36, 14, 40), (40, 20, 48)),
 )
 #: Networks learn (log z - CENTRE) / SPREAD of the distance z, which has mean 0 and variance 1:
 #: pictures depend on ratios of distances, and errors that grow with z are equal in log z.
@@ -781,7 +781,7 @@ def gradients(
     """
     output, seen = forward(layers, pictures)
     error = output - target
-    d: Pictures = (2 * error / len(error))[:, None, None, None]
+    d: Pictures = (error * np.float32(2 / len(error)))[:, None, None, None]
     found: list[Pictures] = []
     for (x, cut), layer in reversed(list(zip(seen, layers, strict=True))):
         flat = d.reshape(-1, d.shape[-1])
@@ -855,10 +855,11 @@ def train_models(
     n, M = check_count("training", training), check_count("held_out", held_out)
     passes, W = check_count("epochs", epochs), len(architecture)
     scenes, h = draw_scenes(n + M, rng), draw_altitudes(n + M, rng)
+    pitch = rng.normal(0, 0.08, n + M)
     networks, losses = [new_network(size, rng) for size in architecture], []
     residuals = np.empty((W, M))
     for w in tqdm(range(W), "Training", leave=False, disable=not progress or None):
-        pictures = photograph(scenes, h, networks[w].side, rng)
+        pictures = photograph(scenes, h, networks[w].side, rng, pitch=pitch)
         losses.append(train_network(networks[w], pictures[:n], h[:n], passes, rng))
         residuals[w] = networks[w].altitude(pictures[n:]) - h[n:]
     return Trained(networks, np.array(losses), _measured(np.tile(h[n:], W), residuals.ravel(), W))

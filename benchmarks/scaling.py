@@ -124,13 +124,12 @@ def claims(rows: list[Row]) -> list[dict[str, str]]:
 
 NOTES = """\
 One landing of 20 s (published: 0.01 s a step) in H steps; W models share the range of quality of
-the eight, and p of altitude, its rate and pitch are perceived.  Times by the wall clock: median
-over {seeds} seeds and {repeat} runs of each (fewer if `solve` takes over 10 s), and the longest
-`solve` of all.  *solve* is given Ψ and
-includes a relaxation; *labels*: most labels kept at a step in the last pass (1: none were needed).
-*memory*: peak of the process, of which {before:.0f} MB are Python and its libraries.  Time limit
-of `solve`: {limit:g} s.  The published aircraft is unstable: beyond about 1000 steps its open-loop
-Ψ is out of reach of double precision.
+the eight, and p of altitude, its rate and pitch are perceived.  Seeds: {seeds}; runs of each:
+{repeat}, fewer if `solve` takes over 10 s.  Times by the wall clock: medians, and the longest
+`solve` of all.  *solve* is given Ψ and includes a relaxation; *labels*: most labels kept at a step
+in the last pass (1: none were needed).  *memory*: peak of the process, of which {before:.0f} MB
+are Python and its libraries.  Time limit of `solve`: {limit:g} s.  The published aircraft is
+unstable: beyond about 1000 steps its open-loop Ψ is out of reach of double precision.
 """
 
 

@@ -803,12 +803,19 @@ def test_a_rank_one_r_is_singular_even_where_rounding_makes_its_eigenvalue_posit
 
 @pytest.mark.parametrize("unit", [1e-300, 1e-8, 1.0, 1e16, 1e290])
 def test_asymmetry_and_negative_eigenvalues_are_judged_relative_to_the_matrix(unit):
-    singular, last = np.diag([1.0] * 7 + [0]), np.diag([0.0] * 7 + [1])
-    for rounding in (np.eye(8, k=1), -last):  # asymmetric, indefinite
+    singular = np.ones((8, 8))
+    for rounding in (np.eye(8, k=1), -np.eye(8)):  # asymmetric, indefinite
         psi = (singular + 1e-14 * rounding) * unit
         assert np.isfinite(called("SelectionProblem", psi=psi))
-    skew, indefinite = (singular + 1e-6 * fault for fault in (np.eye(8, k=1), -last))
+    skew, indefinite = (singular + 1e-6 * fault for fault in (np.eye(8, k=1), -np.eye(8)))
     message = "psi: expected a symmetric matrix"
     refused(lambda: called("SelectionProblem", psi=skew * unit), message)
     message = "psi: expected a positive semidefinite matrix"
     refused(lambda: called("SelectionProblem", psi=indefinite * unit), message)
+
+
+def test_a_block_of_small_units_is_judged_by_itself():
+    # Its eigenvalue -2 is nothing beside 4e12, but errors at those steps would earn money.
+    psi = block_diag(4e12 * np.eye(6), [[1, 3], [3, 1]])
+    message = "psi: expected a positive semidefinite matrix"
+    refused(lambda: called("SelectionProblem", psi=psi), message)

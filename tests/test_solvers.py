@@ -154,10 +154,10 @@ def test_schedules_of_any_budget_are_honest(problem, budget):
     best, slack = optimum(problem), rounding(problem)
     for schedule in (
         ms.round_and_swap(problem),
-        ms.dynamic_program(problem, max_labels=budget),
+        ms.dynamic_program(problem, max_labels=64 * budget),
         ms.branch_and_bound(problem, max_nodes=budget),
         ms.solve(problem, time_limit=0.0),
-        ms.solve(problem, max_labels=budget),
+        ms.solve(problem, max_labels=64 * budget),
     ):
         assert schedule.lower_bound <= best + slack
         assert schedule.cost >= best - slack
@@ -193,7 +193,7 @@ def test_triangle_restates_the_cost_exactly(problem, seed):
 def test_compressed_offsets_keep_their_lengths(p, rank):
     problem = known_suite(5, H=10, p=p, rank=rank)
     triangle = ms._triangle(problem, np.zeros(10 * p))
-    steps = ms._compress(triangle, least=1e-9)
+    steps = ms._compress(triangle, 1e-9, lambda: False)
     e, U = triangle.deviation, triangle.U
     chosen = e[np.arange(10), np.random.default_rng(1).integers(0, 4, 10)]
     y, offset = np.zeros(0), np.zeros(10 * p)
@@ -234,6 +234,38 @@ def test_preview_labels_stay_few_at_full_scale():
     assert schedule.is_optimal
     assert schedule.work["labels"].max() < 5000
     assert schedule.work["labels"].shape == (150,)
+
+
+@pytest.mark.parametrize("solver", [ms.dynamic_program, ms.branch_and_bound, ms.solve], **names)
+@pytest.mark.parametrize("price", [1e6, np.inf])
+@pytest.mark.parametrize("wrong", [1e5, 1e8, 1e10])
+@pytest.mark.parametrize("seed", range(6))
+def test_a_model_nobody_would_use_does_not_blur_the_proof(solver, price, wrong, seed):
+    rng = np.random.default_rng(seed)
+    mean = rng.integers(-4, 5, (6, 2, 1)).astype(float)
+    F = rng.integers(-2, 3, (6, 6)).astype(float)
+    good = SelectionProblem(F.T @ F, mean, 0 * mean, [0.0, 0.0])
+    mean = np.concatenate([mean, np.full((6, 1, 1), wrong)], axis=1)
+    schedule = solver(SelectionProblem(F.T @ F, mean, 0 * mean, [0, 0, price]))
+    assert schedule.cost == pytest.approx(optimum(good), rel=1e-12, abs=1e-9)
+    assert schedule.lower_bound <= optimum(good) + 1e-9
+
+
+@pytest.mark.parametrize("offset", [1e6, 1e8, 1e10])
+def test_large_prices_that_cancel_cost_no_digits_and_no_crash(offset):
+    for seed in range(5):
+        rng = np.random.default_rng(seed)
+        mean, F = rng.normal(size=(4, 2, 1)), rng.normal(size=(2, 4))
+        cost = np.zeros((4, 2))
+        cost[2, 1] = 0.1
+        plain = SelectionProblem(F.T @ F, mean, 0 * mean, cost)
+        cost[0] += offset
+        cost[1] -= offset
+        shifted = SelectionProblem(F.T @ F, mean, 0 * mean, cost)
+        for solver in (ms.dynamic_program, ms.branch_and_bound, ms.solve):
+            found = solver(shifted)
+            assert abs(found.cost - optimum(plain)) <= 1e-15 * offset
+            assert found.lower_bound <= found.cost
 
 
 # ------------------------------------------------------------------------------ at full scale
@@ -390,7 +422,8 @@ def test_shifting_every_price_shifts_the_total(problem, shift):
 def test_larger_budgets_never_worsen_the_answer(seed):
     problem = known_suite(seed, H=16, W=4, p=2)
     for solver, budget in ((ms.dynamic_program, "max_labels"), (ms.branch_and_bound, "max_nodes")):
-        answers = [solver(problem, **{budget: size}) for size in (1, 8, 64, 512)]
+        sizes = (64, 128, 1024, 5000) if budget == "max_labels" else (1, 8, 64, 512)
+        answers = [solver(problem, **{budget: size}) for size in sizes]
         costs = [answer.cost for answer in answers]
         gaps = [answer.gap for answer in answers]
         assert costs == sorted(costs, reverse=True)
@@ -419,8 +452,8 @@ def test_too_many_schedules_are_refused_by_the_exhaustive_solvers():
     [
         (ms.solve, "time_limit", -1, "time_limit: expected a number >= 0"),
         (ms.solve, "gap", np.nan, "gap: expected finite numbers"),
-        (ms.solve, "max_labels", 0, "max_labels: expected an integer >= 1"),
-        (ms.dynamic_program, "max_labels", 1.5, "max_labels: expected an integer >= 1"),
+        (ms.solve, "max_labels", 0, "max_labels: expected an integer >= 64"),
+        (ms.dynamic_program, "max_labels", 1.5, "max_labels: expected an integer >= 64"),
         (ms.branch_and_bound, "max_nodes", 0, "max_nodes: expected an integer >= 1"),
         (ms.branch_and_bound, "time_limit", "soon", "time_limit: expected real numbers"),
         (ms.relax, "gap", -1, "gap: expected a number >= 0"),
