@@ -1640,9 +1640,9 @@ def dynamic_program(
             break
         slack = ROUNDING * min(abs(cost), abs(proved)) + problem.rounding
         budget = cost - triangle.bound + slack
-        # In all, offsets are wrong by at most x = H sqrt(pH) least, which changes a tail of cost q
-        # by at most 2 x sqrt(q) + x^2.
-        least = slack / (2 * H**1.5 * math.sqrt(p * budget))
+        # An offset wrong by x changes a tail of cost q by at most 2 x sqrt(q) + x^2.  Truncation
+        # makes x = H sqrt(pH) least at worst; on measurement it stays below H least / 3.
+        least = slack / (2 * H * math.sqrt(budget))
         steps = steps or _compress(triangle, least, expired)
         if not steps:
             break
