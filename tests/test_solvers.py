@@ -205,6 +205,24 @@ def test_compressed_offsets_keep_their_lengths(p, rank):
         assert np.linalg.norm(y) == pytest.approx(np.linalg.norm(offset[: t * p]), abs=1e-8)
 
 
+@pytest.mark.parametrize("signs", ["same", "model", "step"])
+@pytest.mark.parametrize("information", ["open_loop", "preview"])
+def test_truncated_offsets_stay_within_the_error_that_the_proof_allows(information, signs):
+    problem = landing_problem(information, signs)
+    triangle = ms._triangle(problem, ms.relax_interior_point(problem).reference)
+    (H, W, _), e, U = problem.mean.shape, triangle.deviation, triangle.U
+    least = 1e-3 * float(np.abs(U).max() * np.abs(e).max())  # coarse, so that truncation shows
+    steps, rng = ms._compress(triangle, least, lambda: False), np.random.default_rng(0)
+    for _ in range(5):
+        chosen = e[np.arange(H), rng.integers(0, W, H)]
+        y, read = np.zeros(0), np.zeros(H)
+        for t in reversed(range(H)):
+            read[t] = (steps[t][0] @ y)[0]
+            y = steps[t][1] @ y + steps[t][2] @ chosen[t]
+        exact = np.triu(U, 1) @ chosen[:, 0]
+        assert np.linalg.norm(read - exact) <= H * least / 3
+
+
 @given(SEEDS, st.integers(0, 4), st.integers(1, 60), st.booleans())
 def test_only_dominated_labels_are_discarded(seed, dimensions, labels, whole):
     rng = np.random.default_rng(seed)
