@@ -1513,7 +1513,7 @@ def plain_dynamic_program(problem: SelectionProblem, *, max_labels: int = 2**18)
 
 
 def _compress(
-    triangle: _Triangle, least: float, expired: Callable[[], bool]
+    triangle: _Triangle, budget: float, least: float, expired: Callable[[], bool]
 ) -> list[tuple[Array, Array, Array]]:
     """Coordinates for offsets: (read, carry, push) of each step.
 
@@ -1523,9 +1523,10 @@ def _compress(
     offset on the rows of step t itself.  A direction of strength (singular value) at
     most `least` is dropped: it carries no offset above sqrt(pH) least.  Empty if time is over.
     """
-    _, _, deviation, U = triangle
+    _, reduced, deviation, U = triangle
     H, _, p = deviation.shape
-    size = np.abs(deviation).max(axis=1).ravel()
+    usable = (reduced <= budget)[..., None]
+    size = np.abs(np.where(usable, deviation, 0)).max(axis=1).ravel()
     steps: list[tuple[Array, Array, Array]] = [None] * H  # type: ignore[list-item]
     basis = scaled = np.zeros((H * p, 0))
     for t in reversed(range(H)):
@@ -1537,13 +1538,13 @@ def _compress(
             np.hstack([scaled[before], column * size[rows]]), full_matrices=False
         )
         V = V[:, strength > least]
-        steps[t] = (basis[rows], V.T @ basis[before], V.T @ column)
+        steps[t] = (basis[rows].copy(), V.T @ basis[before], V.T @ column)
         basis, scaled = V, V * strength[: V.shape[1]]
     return steps
 
 
 # Cells of `_undominated`: the root of the budget, halved so often; the last merges equal offsets.
-GRIDS = (0, 2, 4, 6, 24)
+GRIDS = (0, 1, 2, 3, 4, 5, 6, 7, 24)
 
 
 def _undominated(
@@ -1568,14 +1569,14 @@ def _undominated(
         width = math.sqrt(budget) / 2**halvings
         corner = np.floor(y[alive] / width + 0.618 * halvings)  # shifted: cells share no borders
         cell = corner.astype(np.int64).astype(np.uint64) @ hashing
-        order = np.argsort(cell)
-        starts = np.flatnonzero(np.append(True, np.diff(cell[order]) != 0))
-        cheapest = np.minimum.reduceat(order, starts)
-        i = alive[np.repeat(cheapest, np.diff(np.append(starts, len(order))))]
-        j = alive[order]
+        bits = len(alive).bit_length() + 2
+        key = cell >> np.uint64(64 - bits)
+        table = np.empty(2**bits, dtype=np.intp)
+        table[key[::-1]] = np.arange(len(alive))[::-1]  # of equal keys, the first is written last
+        i, j = alive[table[key]], alive
         rho2 = ((y[i] - y[j]) ** 2).sum(axis=1)
         reach = 2 * np.sqrt(rho2) * np.sqrt(np.maximum(budget - extra[j], 0))
-        alive = np.sort(j[(i == j) | (extra[i] + reach + rho2 > extra[j] + slack)])
+        alive = alive[(i == j) | (extra[i] + reach + rho2 > extra[j] + slack)]
     kept = np.zeros(len(extra), dtype=bool)
     kept[alive] = True
     return kept
@@ -1633,7 +1634,7 @@ def dynamic_program(
     best, cost, proved = first.choices, first.cost, first.root_bound
     triangle = _triangle(problem, relaxation.reference, cost - proved)
     steps: list[tuple[Array, Array, Array]] = []
-    (H, _, p), passes = problem.mean.shape, 0
+    H, passes = len(problem.mean), 0
     labels = np.zeros(H, dtype=int)
     for width in itertools.takewhile(lambda labels: labels <= max_labels, WIDTHS):
         if cost - proved <= gap * max(abs(cost), abs(proved)) or (passes and expired()):
@@ -1643,7 +1644,7 @@ def dynamic_program(
         # An offset wrong by x changes a tail of cost q by at most 2 x sqrt(q) + x^2.  Truncation
         # makes x = H sqrt(pH) least at worst; on measurement it stays below H least / 3.
         least = slack / (2 * H * math.sqrt(budget))
-        steps = steps or _compress(triangle, least, expired)
+        steps = steps or _compress(triangle, budget, least, expired)
         if not steps:
             break
         # Merging may lose a slack in all, and what rounding has blurred.

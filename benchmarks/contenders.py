@@ -259,7 +259,6 @@ SOLVERS: dict[str, Callable[[SelectionProblem, float], Attempt]] = {
     "Gurobi": gurobi,
     "milp (HiGHS), linearised": linearised,
 }
-OURS = ("solve", "branch_and_bound", "enumerate_schedules")
 
 FIELDS = ("psi", "mean", "variance", "model_cost", "alpha", "beta")
 

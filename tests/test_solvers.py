@@ -193,7 +193,7 @@ def test_triangle_restates_the_cost_exactly(problem, seed):
 def test_compressed_offsets_keep_their_lengths(p, rank):
     problem = known_suite(5, H=10, p=p, rank=rank)
     triangle = ms._triangle(problem, np.zeros(10 * p))
-    steps = ms._compress(triangle, 1e-9, lambda: False)
+    steps = ms._compress(triangle, np.inf, 1e-9, lambda: False)
     e, U = triangle.deviation, triangle.U
     chosen = e[np.arange(10), np.random.default_rng(1).integers(0, 4, 10)]
     y, offset = np.zeros(0), np.zeros(10 * p)
@@ -212,7 +212,7 @@ def test_truncated_offsets_stay_within_the_error_that_the_proof_allows(informati
     triangle = ms._triangle(problem, ms.relax_interior_point(problem).reference)
     (H, W, _), e, U = problem.mean.shape, triangle.deviation, triangle.U
     least = 1e-3 * float(np.abs(U).max() * np.abs(e).max())  # coarse, so that truncation shows
-    steps, rng = ms._compress(triangle, least, lambda: False), np.random.default_rng(0)
+    steps, rng = ms._compress(triangle, np.inf, least, lambda: False), np.random.default_rng(0)
     for _ in range(5):
         chosen = e[np.arange(H), rng.integers(0, W, H)]
         y, read = np.zeros(0), np.zeros(H)
