@@ -837,7 +837,7 @@ class Schedule:
     cost : float
         `SelectionProblem.total_cost` of the choices.
     lower_bound : float
-        No schedule costs less.  Where it exceeds `root_bound`, the search has proved it.
+        No schedule costs less (up to `ROUNDING`).  Where it exceeds `root_bound`, the search has proved it.
     root_bound : float
         LB(reference), which `check_certificate` derives anew.
     reference : ndarray, (pH,)
@@ -1014,10 +1014,8 @@ def enumerate_schedules(problem: SelectionProblem, *, max_schedules: int = 2**22
         costs = problem.total_cost(block)
         if costs.min() < lowest:
             best, lowest = block[costs.argmin()], costs.min()
-    cost = float(problem.total_cost(best))
-    return _certified(
-        problem, best, problem.chosen_mean(best), "enumerate_schedules", cost, schedules=W**H
-    )
+    cost, d = float(problem.total_cost(best)), problem.chosen_mean(best)
+    return _certified(problem, best, d, "enumerate_schedules", cost, schedules=W**H)
 
 
 def is_separable(problem: SelectionProblem) -> bool:
@@ -1303,19 +1301,9 @@ def relax_interior_point(
         An option out of range, or a step at which no available model is allowed.
     """
     expired, p = _stopwatch(time_limit), problem.mean.shape[2]
-    usable = np.isfinite(problem.linear) if allowed is None else np.asarray(allowed, dtype=bool)
-    if (
-        usable.shape != problem.linear.shape
-        or not (usable & np.isfinite(problem.linear)).any(1).all()
-    ):
-        raise ValueError(
-            f"allowed: expected an available model in every row of {usable.shape}, found none"
-        )
-    usable = usable & np.isfinite(problem.linear)
-    gap, max_iterations = (
-        check_number("gap", gap, minimum=0),
-        check_count("max_iterations", max_iterations),
-    )
+    gap = check_number("gap", gap, minimum=0)
+    max_iterations = check_count("max_iterations", max_iterations)
+    usable = _usable(problem, allowed)
     linear = np.where(usable, problem.linear, np.inf)
     free = np.flatnonzero(usable.sum(axis=1) > 1)
     index = (free[:, None] * p + np.arange(p)).ravel()
@@ -1345,6 +1333,20 @@ def relax_interior_point(
         y = np.minimum(y + dy, lowest - np.maximum(1e-3 * tau, 1e-15 * np.abs(lowest)))
         best = min(best, point, key=lambda it: it.value - it.bound)
     return best
+
+
+def _usable(
+    problem: SelectionProblem, allowed: npt.NDArray[np.bool_] | None
+) -> npt.NDArray[np.bool_]:
+    """Return which models are available and allowed, or raise ValueError if a step has none."""
+    usable = np.isfinite(problem.linear)
+    if allowed is None:
+        return usable
+    if np.shape(allowed) != usable.shape or not (usable & allowed).any(axis=1).all():
+        raise ValueError(
+            f"allowed: expected an available model in every row of {usable.shape}, found none"
+        )
+    return np.asarray(usable & allowed, dtype=bool)
 
 
 def _newton_step(
@@ -1658,16 +1660,8 @@ def dynamic_program(
         proved = max(proved, min(cost, triangle.bound + missed) - 2 * slack)  # merged, truncated
         if missed == math.inf:
             break
-    return _certified(
-        problem,
-        best,
-        relaxation.reference,
-        "dynamic_program",
-        proved,
-        labels=labels,
-        passes=passes,
-        seconds=perf_counter() - started,
-    )
+    work = {"labels": labels, "passes": passes, "seconds": perf_counter() - started}
+    return _certified(problem, best, relaxation.reference, "dynamic_program", proved, **work)
 
 
 def _decode(
@@ -1795,16 +1789,8 @@ def branch_and_bound(
             if bound < cost and child[undecided].sum() > 1:
                 heapq.heappush(queue, (bound, len(tree) - 1, child, undecided))
     lower = queue[0][0] if queue else cost
-    return _certified(
-        problem,
-        best,
-        root.reference,
-        "branch_and_bound",
-        lower,
-        nodes=len(tree),
-        tree=tree,
-        seconds=perf_counter() - started,
-    )
+    work = {"nodes": len(tree), "tree": tree, "seconds": perf_counter() - started}
+    return _certified(problem, best, root.reference, "branch_and_bound", lower, **work)
 
 
 def _narrow(
