@@ -837,7 +837,8 @@ class Schedule:
     cost : float
         `SelectionProblem.total_cost` of the choices.
     lower_bound : float
-        No schedule costs less (up to `ROUNDING`).  Where it exceeds `root_bound`, the search has proved it.
+        No schedule costs less (up to `ROUNDING`).  Where it exceeds `root_bound`, the search has
+        proved it.
     root_bound : float
         LB(reference), which `check_certificate` derives anew.
     reference : ndarray, (pH,)
