@@ -19,6 +19,7 @@ import math
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import reduce
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -545,8 +546,8 @@ class Scene(NamedTuple):
     """What N pictures show beside the pad, and how the camera is held (``fig:airsim_env``)."""
 
     light: Array  #: (N, 6), exposure and its two slopes, greys of ground, pad and paint
-    waves: Array  #: (N, 8, 4), texture: wave vector in rad/ft, phase, size
-    boxes: Array  #: (N, 7, 7), moving clutter: place and half-sides in ft, turn, grey, ft/s
+    waves: Array  #: (N, 6, 4), texture: wave vector in rad/ft, phase, size
+    boxes: Array  #: (N, 5, 7), moving clutter: place and half-sides in ft, turn, grey, ft/s
     decoy: Array  #: (N, 4), a disc that is no pad: place and radius in ft, grey
     pose: Array  #: (N, 8), of `draw_pose`
 
@@ -554,32 +555,33 @@ class Scene(NamedTuple):
 def draw_pose(count: int, rng: np.random.Generator) -> Array:
     """Draw pitch, roll, offset per ft of distance (2), heading, blur, shake and dust (count, 8)."""
     pose = _check_rng(rng).standard_normal((check_count("count", count), 8))
-    pose *= [0.05, 0.05, 0.05, 0.05, 0.6, 0.01, 0.06, 0.3]
+    pose *= [0.05, 0.05, 0.05, 0.05, 0.6, 0.015, 0.15, 0.3]
     return pose
 
 
 def draw_scenes(count: int, rng: np.random.Generator) -> Scene:
     """Draw `count` >= 1 independent scenes; ValueError as in `sample_errors`."""
     pose, N, draw = draw_pose(count, rng), count, rng.uniform
-    turn, phase = draw(0, 2 * np.pi, (2, N, 8))
-    far = draw([14] * 7 + [30], [50] * 7 + [60], (N, 8))
+    turn, phase = draw(0, 2 * np.pi, (2, N, 6))
+    far = draw([14] * 5 + [30], [50] * 5 + [60], (N, 6))
     place = far[..., None] * np.stack([np.cos(turn), np.sin(turn)], -1)
-    k = 2 * np.pi * np.exp(-draw(0, np.log(60), (N, 8)))  # waves of 1 to 60 ft
-    size = draw(0.01, 0.03, (N, 8))
-    box = draw([0.7, 0.7, 0, 0, -3], [7, 3, np.pi, 1, 3], (N, 7, 5))
+    k = 2 * np.pi * np.exp(-draw(0, np.log(60), (N, 6)))  # waves of 1 to 60 ft
+    size = draw(0.01, 0.03, (N, 6))
+    box = draw([0.7, 0.7, 0, 0, -3], [7, 3, np.pi, 1, 3], (N, 5, 5))
     return Scene(
         draw([0.55, -0.25, -0.25, 0.3, 0.12, 0.75], [1, 0.25, 0.25, 0.55, 0.3, 1], (N, 6)),
         np.stack([k * np.cos(turn), k * np.sin(turn), phase, size], -1),
-        np.concatenate([place[:, :7], box], -1),
-        np.concatenate([place[:, 7], draw([3, 0.1], [14, 0.9], (N, 2))], -1),
+        np.concatenate([place[:, :5], box], -1),
+        np.concatenate([place[:, 5], draw([3, 0.1], [14, 0.9], (N, 2))], -1),
         pose,
     )
 
 
-def draw_altitudes(count: int, rng: np.random.Generator) -> Array:
-    """Draw altitudes (count,) in feet, uniform in the logarithm of the distance to the camera."""
-    low, high = np.log([LOWEST + MOUNT, HIGHEST + MOUNT])
-    return np.clip(np.exp(_check_rng(rng).uniform(low, high, count)) - MOUNT, LOWEST, HIGHEST)
+def draw_views(count: int, rng: np.random.Generator) -> tuple[Scene, Array, Array]:
+    """Draw scenes, altitudes in ft, uniform in the logarithm of the distance, and pitch in rad."""
+    scene, low, high = draw_scenes(count, rng), LOWEST + MOUNT, HIGHEST + MOUNT
+    z = np.exp(rng.uniform(math.log(low), math.log(high), count))
+    return scene, np.clip(z - MOUNT, LOWEST, HIGHEST), rng.normal(0, 0.08, count)
 
 
 def photograph(
@@ -621,8 +623,18 @@ def photograph(
     if h.min() < LOWEST or h.max() > HIGHEST:
         found = f"{h.min():g} to {h.max():g}"
         raise ValueError(f"altitude: expected {LOWEST:g} to {HIGHEST:g} ft, found {found}")
-    nodding = check_array("pitch", np.zeros(h.shape) + np.asarray(pitch, np.float64), "N", h.shape)
-    z, nod = _columns(np.stack([h + MOUNT, nodding], -1))
+    nod = check_array("pitch", np.zeros(h.shape) + np.asarray(pitch, np.float64), "N", h.shape)
+    size = max(1, 40_000 // S**2)  # pictures at a time, which fit a processor's cache
+    blocks = [slice(i, i + size) for i in range(0, len(h), size)]
+    parts = [(Scene(*(table[b] for table in scene)), h[b], nod[b]) for b in blocks]
+    return np.concatenate([_expose(*part, S, _check_rng(rng), seconds) for part in parts])
+
+
+def _expose(
+    scene: Scene, h: Array, pitch: Array, S: int, rng: np.random.Generator, seconds: float
+) -> Pictures:
+    """Take the pictures of one block: see `photograph`."""
+    z, nod = _columns(np.stack([h + MOUNT, pitch], -1))
     tilt, roll, right, ahead, heading, blur, shake, dust = _columns(scene.pose)
     u = ((2 * np.arange(S) + 1) / S - 1).astype(np.float32)
     a, b, c, s = TANGENT * u, -TANGENT * u[:, None], np.cos(tilt + nod), np.sin(tilt + nod)
@@ -634,7 +646,7 @@ def photograph(
     picture += wash * np.minimum(abs(dust), 0.5) * (0.6 - picture)
     bright, across, along, *_ = _columns(scene.light)
     picture *= bright * (1 + across * u - along * u[:, None])
-    picture += 0.02 * _check_rng(rng).standard_normal(picture.shape, dtype=np.float32)
+    picture += 0.02 * rng.standard_normal(picture.shape, dtype=np.float32)
     return np.clip(picture, 0, 1)
 
 
@@ -646,22 +658,22 @@ def _columns(table: Array) -> list[Pictures]:
 def _paint(scene: Scene, x: Pictures, y: Pictures, foot: Pictures, seconds: float) -> Pictures:
     """Grey of what lies at (x, y) ft, seen by pixels `foot` ft wide, from the ground up."""
 
-    def cover(tone: Any, *inside: Pictures) -> None:
+    def cover(tone: Any, *inside: Any) -> None:
         """Paint where all `inside`, the depths in ft behind an edge, are positive."""
-        share = math.prod(np.clip(depth / foot + np.float32(0.5), 0, 1) for depth in inside)
-        picture[...] += share * (tone - picture)
+        shares = [np.clip(depth / foot + np.float32(0.5), 0, 1) for depth in inside]
+        picture[...] += reduce(np.multiply, shares) * (tone - picture)
 
     *_, ground, asphalt, paint = _columns(scene.light)
     texture = np.zeros_like(x)
     for k1, k2, phase, size in map(_columns, np.swapaxes(scene.waves, 0, 1)):
         fade = np.exp(-(k1**2 + k2**2) * foot**2 / 8)  # fine waves average out in a pixel
         texture += size * fade * np.sin(k1 * x + k2 * y + phase)
-    picture, X, Y = ground + texture, abs(x) / PAD, abs(y) / PAD
+    picture, X, Y, r = ground + texture, abs(x) / PAD, abs(y) / PAD, np.hypot(x, y) / PAD
     cx, cy, radius, grey = _columns(scene.decoy)
     cover(grey, radius - np.hypot(x - cx, y - cy))
     cover((ground + paint) / 2 + texture, PAD * (2.4 - X), PAD * (2.4 - Y))  # the apron
-    cover(asphalt + texture / 2, PAD * (1 - np.hypot(X, Y)))
-    cover(paint, PAD * (0.07 - abs(np.hypot(X, Y) - 0.88)))  # ring, legs and bar of the H
+    cover(asphalt + texture / 2, PAD * (1 - r))
+    cover(paint, PAD * (0.07 - abs(r - 0.88)))  # ring, legs and bar of the H
     cover(paint, PAD * (0.07 - abs(X - 0.26)), PAD * (0.45 - Y))
     cover(paint, PAD * (0.26 - X), PAD * (0.07 - Y))
     for cx, cy, a, b, turn, grey, speed in map(_columns, np.swapaxes(scene.boxes, 0, 1)):
@@ -854,8 +866,7 @@ def train_models(
     """
     n, M = check_count("training", training), check_count("held_out", held_out)
     passes, W = check_count("epochs", epochs), len(architecture)
-    scenes, h = draw_scenes(n + M, rng), draw_altitudes(n + M, rng)
-    pitch = rng.normal(0, 0.08, n + M)
+    scenes, h, pitch = draw_views(n + M, rng)
     networks, losses = [new_network(size, rng) for size in architecture], []
     residuals = np.empty((W, M))
     for w in tqdm(range(W), "Training", leave=False, disable=not progress or None):
@@ -863,6 +874,13 @@ def train_models(
         losses.append(train_network(networks[w], pictures[:n], h[:n], passes, rng))
         residuals[w] = networks[w].altitude(pictures[n:]) - h[n:]
     return Trained(networks, np.array(losses), _measured(np.tile(h[n:], W), residuals.ravel(), W))
+
+
+def measure_models(networks: Sequence[Network], count: int, rng: np.random.Generator) -> Residuals:
+    """Measure networks on `count` >= 1 new pictures: fresh data, for a second opinion."""
+    scene, h, pitch = draw_views(count, rng)
+    seen = [n.altitude(photograph(scene, h, n.side, rng, pitch=pitch)) - h for n in networks]
+    return _measured(np.tile(h, len(seen)), np.concatenate(seen), len(seen))
 
 
 def _measured(altitude: Array, residual: Array, W: int) -> Residuals:
@@ -910,7 +928,7 @@ def load_models(
     networks = [new_network(size, np.random.default_rng(0)) for size in architecture]
     W = len(networks)
     try:
-        with np.load(path, allow_pickle=False) as file:
+        with open(path, "rb") as raw, np.load(raw, allow_pickle=False) as file:
             found = dict(file)
         if str(found["key"]) != key:
             raise ValueError(f"expected the key {key}, found {str(found['key'])[:40]}")
@@ -922,7 +940,7 @@ def load_models(
         losses = check_array("losses", found["losses"], "W epochs", (W, None))
         return Trained(networks, losses, _measured(found["altitude"], found["residual"], W))
     except Exception as error:  # damage can surface as almost any of them
-        why = " ".join(str(error).split())[:150]
+        why = " ".join(str(error).split()).split(". ")[0][:150]
         raise ValueError(f"{path}: no file of these models, delete or move it: {why}") from None
 
 

@@ -315,7 +315,7 @@ def test_zero_weights(weights):
 @pytest.mark.parametrize(
     ("setting", "message"),
     [
-        ({"experiment": "no"}, "experiment: expected one of simulated, found 'no'"),
+        ({"experiment": "no"}, "experiment: expected one of simulated, trained, found 'no'"),
         ({"preset": "no"}, "preset: expected one of published, textbook, found 'no'"),
         ({"information": "no"}, "information: expected one of open_loop, preview, causal"),
         ({"horizon": 0}, "horizon: expected an integer >= 1, found 0"),
