@@ -511,12 +511,15 @@ def judge_on_pictures(
     return result, found
 
 
+FRESH = 2000  # pictures that judge a schedule, seen by no model before
+
+
 def sample_sizes(
     result: Result,
     sizes: Sequence[int] = (50, 100, 400, 897),
     *,
     repeats: int = 40,
-    fresh: int = 2000,
+    fresh: int = FRESH,
 ) -> Array:
     """Regret of schedules that were fitted on few residuals (sizes, 2, repeats).
 
@@ -573,7 +576,7 @@ def report_pictures(result: Result, *, progress: bool = False) -> str:
         "models above all.  It keeps its scene, so that errors last.  And Optimal took what looked",
         "best on few residuals, partly by luck (see the table below); Guarded trusts luck less.",
     ]
-    lines += ["", "Total cost of schedules fitted on n residuals, judged on 2000 new pictures:"]
+    lines += ["", f"Total cost of schedules fitted on n residuals, judged on {FRESH} new pictures:"]
     lines += [f"{'n':>5}{'beyond the optimum':>24}{'with guard_suite':>24}  (mean ± 95%, 40 draws)"]
     sizes = [n for n in (50, 100, 400, 897) if n <= len(h)]
     for n, pair in zip(sizes, 100 * sample_sizes(result, sizes), strict=True):
