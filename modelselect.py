@@ -341,10 +341,10 @@ def _costate(task: ControlTask, law: Riccati, s: Array) -> Array:
     """
     C = task.over_time()[2]
     q = np.zeros((*s.shape[:-2], task.horizon + 1, task.n))
-    for t in reversed(range(task.horizon)):
-        q[..., t, :] = (s[..., t, :] @ (law.P[t + 1] @ C[t]).T + q[..., t + 1, :]) @ (
-            law.closed_loop[t]
-        )
+    with np.errstate(over="ignore", invalid="ignore"):  # seen in the states, and refused there
+        for t in reversed(range(task.horizon)):
+            push = s[..., t, :] @ (law.P[t + 1] @ C[t]).T + q[..., t + 1, :]
+            q[..., t, :] = push @ law.closed_loop[t]
     return q
 
 

@@ -509,3 +509,67 @@ def test_schedule_gap_is_relative_to_the_larger_of_cost_and_bound():
     assert replace(one, cost=1.0, lower_bound=-4.0).gap == 1.25
     assert replace(one, cost=0.0, lower_bound=0.0).gap == 0.0
     assert one.choices.flags.writeable is False
+
+
+# ------------------------------------------------------------------- corners that rounding opens
+
+
+def test_what_overflows_is_refused_and_never_returned():
+    task = ms.ControlTask([[2.0]], [[1.0]], [[1.0]], [[1.0]], [[1.0]], 2)
+    with pytest.raises(ValueError, match=r"^task: the states overflow"):
+        ms.plan(task, [1e308], np.full((2, 1), 1e308))
+    with pytest.raises(ValueError, match=r"^psi: the costs overflow"):
+        SelectionProblem(np.eye(2), np.full((2, 1, 1), 1e200), np.zeros((2, 1, 1)), [0.0])
+
+
+@pytest.mark.parametrize("claim", [-1e9, 1e9])
+def test_a_lower_bound_outside_root_bound_and_cost_has_no_certificate(claim):
+    problem = known_suite(0, H=4)
+    schedule = ms.solve(problem)
+    with pytest.raises(ValueError, match=r"^schedule\.lower_bound: expected"):
+        ms.check_certificate(problem, replace(schedule, lower_bound=claim))
+
+
+def test_enumeration_keeps_the_best_of_several_blocks():
+    # 3^10 schedules fill four blocks; the cheapest, found first, must survive the later ones.
+    mean = np.tile([[0.0], [1.0], [2.0]], (10, 1, 1))
+    problem = SelectionProblem(np.eye(10), mean, 0 * mean, [0.0, 1.0, 2.0])
+    schedule = ms.enumerate_schedules(problem)
+    assert schedule.cost == 0
+    assert not schedule.choices.any()
+
+
+def test_the_gap_of_a_relaxation_is_zero_where_value_and_bound_meet():
+    point = ms.relax_interior_point(known_suite(0, H=3))
+    assert point._replace(value=1.0, bound=1.0).gap == 0
+    assert point._replace(value=2.0, bound=1.0).gap == 0.5
+
+
+@pytest.mark.parametrize("allowed", [np.zeros((12, 4), dtype=bool), np.ones((12, 3), dtype=bool)])
+def test_every_step_needs_a_model_that_is_allowed(allowed):
+    with pytest.raises(ValueError, match=r"^allowed: expected an available model in every row"):
+        ms.relax_interior_point(known_suite(0), allowed=allowed)
+
+
+def test_out_of_time_before_the_first_pass_leaves_the_root_bound():
+    problem = known_suite(0, H=30, p=2)
+    relaxation = ms.relax_interior_point(problem)
+    late = ms.dynamic_program(problem, time_limit=0.0, relaxation=relaxation)
+    assert late.work["passes"] == 0
+    assert late.lower_bound == late.root_bound < late.cost
+    assert late.cost == ms.round_and_swap(problem, relaxation).cost
+
+
+def test_solve_returns_what_it_has_where_decoding_used_up_the_time(monkeypatch):
+    problem = known_suite(0, H=60, W=8, p=2, rank=8)
+    problem = replace(problem, variance=0 * problem.variance, model_cost=np.arange(8.0))
+    looks = iter(range(10**6))  # the more often one looks at this clock, the faster it runs
+    monkeypatch.setattr(ms, "perf_counter", lambda: 0.001 * 1.02 ** next(looks))
+    schedule = ms.solve(problem, time_limit=0.065)
+    assert schedule.solver == "dynamic_program"
+    assert schedule.lower_bound < schedule.cost
+
+
+def test_integers_whose_costs_would_not_be_exact_are_refused():
+    with pytest.raises(ValueError, match=r"^integers: expected a sum of at most 1e7, found"):
+        ms.partition_problem([10**7, 1])

@@ -1,0 +1,43 @@
+"""What README.md shows: its example runs, its commands exist, its tables are the measured ones."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+
+ROOT = Path(__file__).resolve().parents[1]
+README = (ROOT / "README.md").read_text(encoding="utf-8")
+
+
+def test_the_example_runs_and_is_certified(capsys):
+    (code,) = re.findall(r"```python\n(.*?)```", README, re.DOTALL)
+    names = {}
+    exec(code, names)
+    assert names["schedule"].is_optimal
+    assert str(names["schedule"].cost) in capsys.readouterr().out
+    assert set(np.unique(names["schedule"].choices)) <= {0, 1, 2}
+
+
+def test_the_commands_are_targets_of_the_makefile():
+    targets = re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(), re.MULTILINE)
+    named = re.findall(
+        r"\bmake ([a-z-]+)", "".join(re.findall(r"`make[^`]*`|^ +make.*", README, re.MULTILINE))
+    )
+    assert {"landing", "test", "help"} <= set(named) <= set(targets)
+
+
+def test_files_and_pictures_it_links_to_exist():
+    links = re.findall(r"\]\(([^)#]+)\)", README)
+    assert len(links) > 5
+    assert not [link for link in links if "://" not in link and not (ROOT / link).exists()]
+
+
+def test_its_benchmark_rows_are_those_that_the_script_wrote():
+    measured = (ROOT / "benchmarks" / "results" / "peers.md").read_text(encoding="utf-8")
+    rows = [
+        line
+        for line in README.splitlines()
+        if re.match(r"\| (published|open_loop|preview)/?", line)
+    ]
+    assert len(rows) == 7
+    assert not [row for row in rows if row not in measured.splitlines()]
