@@ -1461,6 +1461,7 @@ def _triangle(problem: SelectionProblem, reference: Array, budget: float = 0.0) 
     deviation = problem.mean - reference.reshape(H, 1, p)
     diagonal = problem.quadratic.diagonal()
     most = (deviation**2).max(axis=1).ravel() @ diagonal
+    # 1e-6 is already enough: it leaves errors of 1e-13 of a row's size in the factor.
     share = min(1e-6, max(0.0, budget) / 100 / max(most, np.finfo(float).tiny))
     shift = (share + MATRIX_TOLERANCE * len(diagonal)) * diagonal + np.finfo(float).tiny
     reduced = reduced - np.einsum("twi,ti->tw", deviation**2, shift.reshape(H, p))
@@ -1551,7 +1552,7 @@ GRIDS = (0, 1, 2, 3, 4, 5, 6, 7, 24)
 
 
 def _undominated(
-    extra: Array, y: Array, budget: float, slack: float, expired: Callable[[], bool]
+    extra: Array, y: Array, budget: float, merge: float, expired: Callable[[], bool]
 ) -> npt.NDArray[np.bool_]:
     """Mark the labels, sorted by extra cost, that no cheaper label nearby makes superfluous.
 
@@ -1559,10 +1560,12 @@ def _undominated(
     |v + y_j|^2 plus the same reduced costs, and a completion of j within the budget has
     |v + y_j|^2 <= budget - extra_j.  Since |v + y_i| <= |v + y_j| + rho, i is never worse if
 
-        extra_i + 2 rho sqrt(budget - extra_j) + rho^2 <= extra_j.
+        extra_i + 2 rho sqrt(budget - extra_j) + rho^2 <= extra_j    (or exceeds it by `merge`).
 
     Any label may be tested against any cheaper one; we test against the cheapest label of the
-    same grid cell, for cells of several sizes.  (Cells may share a hash: the test is exact.)
+    same grid cell, for cells of several sizes.  A cell's corner is hashed by multiplying with
+    powers of an odd number (2^64 over the golden ratio); its top bits index a table.  Cells that
+    share an entry do no harm, as the test itself is exact.
     """
     alive = np.arange(len(extra))
     hashing = np.cumprod(np.full(y.shape[1], 0x9E3779B97F4A7C15, dtype=np.uint64))
@@ -1579,7 +1582,7 @@ def _undominated(
         i, j = alive[table[key]], alive
         rho2 = ((y[i] - y[j]) ** 2).sum(axis=1)
         reach = 2 * np.sqrt(rho2) * np.sqrt(np.maximum(budget - extra[j], 0))
-        alive = alive[(i == j) | (extra[i] + reach + rho2 > extra[j] + slack)]
+        alive = alive[(i == j) | (extra[i] + reach + rho2 > extra[j] + merge)]
     kept = np.zeros(len(extra), dtype=bool)
     kept[alive] = True
     return kept
