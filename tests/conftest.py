@@ -6,10 +6,12 @@ mutation  few examples, the same ones every time: each of the many mutants gets 
 """
 
 import os
+import signal
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before NumPy: see the Makefile
 os.environ.setdefault("MPLBACKEND", "Agg")  # figures are drawn without a screen
 
+import pytest
 from hypothesis import HealthCheck, settings
 
 # Times are no verdict on a shared machine: no deadline, and slow generation is no failure.
@@ -25,4 +27,20 @@ settings.register_profile(
     "ci", settings.get_profile("dev"), max_examples=100, derandomize=True, database=None
 )
 settings.register_profile("mutation", settings.get_profile("ci"), max_examples=10)
-settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "dev"))
+PROFILE = os.environ.get("HYPOTHESIS_PROFILE", "dev")
+settings.load_profile(PROFILE)
+
+if PROFILE == "mutation":
+
+    def too_long(signum, frame):
+        raise TimeoutError("a test runs for half a minute")
+
+    @pytest.hookimpl(wrapper=True)
+    def pytest_runtest_call():
+        """Fail a test that takes far too long: a mutant that loops for ever is found out soon."""
+        signal.signal(signal.SIGALRM, too_long)
+        signal.alarm(30)
+        try:
+            return (yield)
+        finally:
+            signal.alarm(0)
