@@ -53,7 +53,7 @@ landing: $(VENV)/.run ## the drone-landing experiment (ARGS="--help" lists its o
 # --- checks ---
 
 test: $(VENV)/.dev ## the tests, with branch coverage
-	$(BIN)/python -m pytest --cov $(ARGS)
+	$(BIN)/python -m pytest $(ARGS) --cov
 
 lint: $(VENV)/.dev ## style: ruff's rules and its formatter
 	$(BIN)/ruff check .

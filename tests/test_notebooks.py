@@ -1,0 +1,366 @@
+"""The committed notebooks: complete, legible without eyes or network, and of use as a course.
+
+`make notebooks-check` executes them.  Here only files are read, except at the end, where the tools
+of notebooks/build.py are tested if they are installed.
+"""
+
+import ast
+import importlib
+import json
+import re
+from functools import cache
+from pathlib import Path
+
+import pytest
+
+import landing
+import modelselect
+import perception
+
+ROOT = Path(__file__).resolve().parents[1]
+NOTEBOOKS = ROOT / "notebooks"
+README = (ROOT / "README.md").read_text(encoding="utf-8")
+NAMES = sorted(path.stem for path in NOTEBOOKS.glob("[0-9][0-9]_*.py"))
+MODULES = (modelselect, perception, landing)
+PUBLIC = {
+    name
+    for module in MODULES
+    for name, value in vars(module).items()
+    if name[0] != "_" and getattr(value, "__module__", None) == module.__name__
+}
+SOLVERS = {"gurobipy", "highspy", "pyscipopt"}  # ours are the subject; CVXPY may stand beside
+LABEL = re.compile(r"\b(?:eq|prob|thm|sol|opt|optAppx|ass|fig|remark):\w+")
+MACHINE = re.compile(r"/(?:tmp|home|root|work|usr|Users)/|[A-Z]:\\\\|0x[0-9a-f]{6}")
+LOADS = re.compile(r"""(?:src|srcset|poster)\s*=\s*["']?\s*(?!data:)\w*:?//|url\(\s*["']?\w*:?//""")
+MOST_HTML = 1_500_000  # bytes of a page inside a notebook, such as an animation
+
+each_notebook = pytest.mark.parametrize("name", NAMES)
+
+
+@cache
+def cells(name: str) -> list[dict]:
+    return json.loads((NOTEBOOKS / f"{name}.ipynb").read_text(encoding="utf-8"))["cells"]
+
+
+def source(cell: dict) -> str:
+    return "".join(cell["source"])
+
+
+def code(name: str) -> list[str]:
+    return [source(cell) for cell in cells(name) if cell["cell_type"] == "code"]
+
+
+def outputs(name: str) -> list[tuple[dict, dict]]:
+    return [(cell, output) for cell in cells(name) for output in cell.get("outputs", [])]
+
+
+def with_tag(name: str, tag: str) -> list[dict]:
+    return [cell for cell in cells(name) if tag in cell["metadata"].get("tags", [])]
+
+
+def section(mark: str) -> str:
+    return README.partition(f"<!-- {mark} -->")[2].partition(f"<!-- /{mark} -->")[0]
+
+
+# --- files ---
+
+
+def test_there_are_seven_numbered_in_order():
+    assert [name[:3] for name in NAMES] == [f"{k:02d}_" for k in range(1, 8)]
+
+
+@each_notebook
+def test_each_has_its_result_and_its_solutions(name):
+    assert (NOTEBOOKS / f"{name}.ipynb").exists()
+    assert (NOTEBOOKS / "solutions" / f"{name}.py").exists()
+
+
+def test_no_result_and_no_solution_is_without_its_notebook():
+    results = {path.stem for path in NOTEBOOKS.glob("*.ipynb")}
+    solutions = {path.stem for path in (NOTEBOOKS / "solutions").glob("*.py")}
+    assert results | solutions <= set(NAMES)
+
+
+@each_notebook
+def test_the_readme_names_it(name):
+    assert f"notebooks/{name}.ipynb" in README
+
+
+@each_notebook
+def test_a_cell_is_known_by_its_place(name):
+    stem = name.replace("_", "-")
+    ids = [cell["id"] for cell in cells(name)]
+    assert ids == [f"{stem}-{place:03d}" for place in range(1, len(ids) + 1)]
+
+
+@each_notebook
+def test_cells_were_executed_once_from_top_to_bottom(name):
+    ran = [cell for cell in cells(name) if cell["cell_type"] == "code"]
+    ran = [cell for cell in ran if "skip-execution" not in cell["metadata"].get("tags", [])]
+    assert [cell["execution_count"] for cell in ran] == list(range(1, len(ran) + 1))
+
+
+# --- what a reader meets ---
+
+
+@each_notebook
+def test_it_opens_with_its_title_its_goals_and_what_it_covers(name):
+    opening = source(cells(name)[0])
+    assert re.match(rf"# {int(name[:2])}\. [^$`*]+\n", opening)  # plain: it is a link's text, too
+    goals, _, covers = opening.partition("**After this notebook you can**")[2].partition("**Covers")
+    assert 3 <= len(re.findall(r"^[-*] ", goals, re.MULTILINE)) <= 5
+    assert LABEL.search(covers)
+
+
+@each_notebook
+def test_the_labels_it_names_are_of_the_paper(name):
+    text = "\n".join(source(cell) for cell in cells(name))
+    known = set(LABEL.findall(section("index") + section("errata")))
+    assert set(LABEL.findall(text)) <= known
+
+
+@each_notebook
+def test_the_index_leads_to_it_and_each_label_there_is_in_it(name):
+    text = "\n".join(source(cell) for cell in cells(name))
+    rows = [row.rsplit("|", 2) for row in section("index").splitlines() if row.count("|") > 3]
+    here = [row for row, column, _ in rows if re.search(rf"\b{name[:2]}(?:_|\b)", column)]
+    assert here
+    assert not [row for row in here if not set(LABEL.findall(row)) & set(LABEL.findall(text))]
+
+
+@each_notebook
+def test_it_ends_with_a_summary_and_exercises(name):
+    text = "\n".join(source(cell) for cell in cells(name) if cell["cell_type"] == "markdown")
+    assert re.search(r"^(?:## |\*\*)In one paragraph", text, re.MULTILINE)
+    titles = re.findall(r"^## Exercises$|^### Exercise (\d): \S", text, re.MULTILINE)
+    assert titles == ["", *(str(k) for k in range(1, len(titles)))]
+
+
+@each_notebook
+def test_it_has_three_to_five_exercises_each_with_a_check_and_a_solution(name):
+    tasks, checks = with_tag(name, "exercise"), with_tag(name, "check")
+    assert 3 <= len(tasks) <= 5
+    places = [cells(name).index(cell) for cell in tasks]
+    assert [cells(name).index(cell) for cell in checks] == [place + 1 for place in places]
+    solutions = (NOTEBOOKS / "solutions" / f"{name}.py").read_text(encoding="utf-8")
+    found = re.findall(r"^# ## Exercise (\d)", solutions, re.MULTILINE)
+    assert found == [str(k) for k in range(1, len(tasks) + 1)]
+
+
+@each_notebook
+def test_a_check_says_which_exercise_it_is_about_and_is_not_run(name):
+    for k, cell in enumerate(with_tag(name, "check"), 1):
+        assert "skip-execution" in cell["metadata"]["tags"]
+        assert not cell["outputs"]
+        assert "assert" in source(cell)
+        assert set(re.findall(r"Exercise (\d):", source(cell))) == {str(k)}
+        assert source(cell).rstrip().endswith(f'print("Exercise {k}: right")')
+
+
+@each_notebook
+def test_every_picture_is_described_in_words(name):
+    shown = [(cell, out) for cell, out in outputs(name) if "image/png" in out.get("data", {})]
+    assert shown
+    for cell, output in shown:
+        alt = output["metadata"]["image/png"]["alt"]
+        assert len(alt.split()) >= 8
+        assert alt == cell["metadata"]["alt"]
+
+
+@each_notebook
+def test_claims_are_asserted_before_the_readers_eyes(name):
+    shown = [text for text in code(name) if "Exercise " not in text]
+    assert sum("assert" in text for text in shown) >= 3
+
+
+# --- what must not be there ---
+
+
+@each_notebook
+def test_no_error_no_warning_and_no_exercise_shows_anything(name):
+    for cell, output in outputs(name):
+        assert output["output_type"] != "error"
+        assert output.get("name") != "stderr"
+        assert "exercise" not in cell["metadata"].get("tags", [])
+
+
+@each_notebook
+def test_it_uses_the_modules_and_repeats_none_of_their_names(name):
+    trees = [ast.parse(text) for text in code(name)]
+    nodes = [node for tree in trees for node in ast.walk(tree)]
+    defined = {node.name for node in nodes if isinstance(node, ast.FunctionDef | ast.ClassDef)}
+    assert not defined & PUBLIC
+    imported = {alias.name for n in nodes if isinstance(n, ast.Import) for alias in n.names}
+    imported |= {
+        name
+        for n in nodes
+        if isinstance(n, ast.ImportFrom)
+        for name in (n.module, *(f"{n.module}.{alias.name}" for alias in n.names))
+    }
+    assert imported & {module.__name__ for module in MODULES}
+    assert not imported & SOLVERS
+
+
+@each_notebook
+def test_its_results_tell_nothing_of_the_machine_that_made_them(name):
+    for cell, output in outputs(name):
+        said = {k: v for k, v in output.get("data", {}).items() if not k.startswith("image/")}
+        text = "".join(output.get("text", [])) + json.dumps(said)
+        assert not MACHINE.search(text), cell["id"]
+
+
+@each_notebook
+def test_its_pages_are_small_and_load_nothing(name):
+    for cell, output in outputs(name):
+        html = "".join(output.get("data", {}).get("text/html", []))
+        assert not LOADS.search(html) and "<link" not in html and "@import" not in html, cell["id"]
+        assert len(html.encode()) <= MOST_HTML, cell["id"]
+
+
+# --- the tools, where they are installed ---
+
+
+@pytest.fixture
+def build(monkeypatch):
+    for needed in ("jupytext", "latex2mathml", "nbclient", "nbconvert"):
+        pytest.importorskip(needed)
+    monkeypatch.syspath_prepend(NOTEBOOKS)
+    return importlib.import_module("build")
+
+
+@pytest.fixture
+def book(build):
+    return importlib.import_module("book")
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ("cost 0.1234", "cost 0.1235"),  # one unit in the last printed place
+        ("9.999e+15", "1.000e+16"),
+        ("[1.     0.5]", "[0.9999 0.5]"),  # NumPy cuts trailing zeros
+        ("[ 0.00 -1.50]", "[-0.00 -1.50]"),
+        ("a  1.0\nb", "a 1.0 \nb"),
+    ],
+)
+def test_a_last_digit_and_a_space_are_no_change(build, old, new):
+    assert build.alike(old, new)
+    assert build.alike(new, old)
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ("cost 0.1234", "cost 0.1236"),
+        ("9.999e+15", "9.999e+14"),
+        ("1.0", "-1.0"),
+        ("1. 0.5", "0.1 0.5"),
+        ("150 steps", "151 steps"),  # whole numbers count something
+        ("proved", "not proved"),
+        ("0.5", "nan"),
+        ("0.5 0.5", "0.5"),
+    ],
+)
+def test_words_counts_and_larger_differences_are_changes(build, old, new):
+    assert not build.alike(old, new)
+    assert not build.alike(new, old)
+
+
+def code_cell(build, outputs=(), **metadata):
+    outputs = [build.nbformat.from_dict(output) for output in outputs]
+    return build.new_code_cell("1", outputs=outputs, metadata=metadata, id="01-x-001")
+
+
+PICTURE = {
+    "output_type": "display_data",
+    "data": {"image/png": "aGk=", "text/plain": "<Figure size 640x480 with 1 Axes>"},
+    "metadata": {"image/png": {"alt": "words"}},
+}
+WARNING = {"output_type": "stream", "name": "stderr", "text": "Warning: old"}
+ADDRESS = {"output_type": "stream", "name": "stdout", "text": "<Line2D at 0x7f5a>"}
+
+
+@pytest.mark.parametrize(
+    ("outputs", "metadata", "finding"),
+    [
+        ([PICTURE], {}, "a picture but no alt"),
+        ([], {"alt": "words"}, "alt but no picture"),
+        ([PICTURE], {"alt": "other words"}, "not with the picture"),
+        ([PICTURE, PICTURE], {"alt": "words"}, "2 pictures"),
+        ([WARNING], {}, "Warning: old"),
+        ([ADDRESS], {}, "address"),
+        ([{**ADDRESS, "text": "1"}], {"tags": ["exercise"]}, "must show nothing"),
+    ],
+)
+def test_what_a_cell_must_not_show_is_found(build, outputs, metadata, finding):
+    notebook = build.new_notebook(cells=[code_cell(build, outputs, **metadata)])
+    (found,) = build.inspect(notebook)
+    assert finding in found
+    assert "01-x-001" in found
+
+
+def test_a_picture_with_its_words_is_in_order(build):
+    assert not [
+        *build.inspect(build.new_notebook(cells=[code_cell(build, [PICTURE], alt="words")]))
+    ]
+
+
+def test_a_change_is_shown_as_a_difference(build):
+    before, after = (
+        build.new_notebook(cells=[code_cell(build, [{**ADDRESS, "text": text}])])
+        for text in ("cost 1.0\nproved\n", "cost 1.0\nnot proved\n")
+    )
+    (found,) = build.changes(before, after)
+    assert "\n    -proved\n    +not proved" in found
+    assert not [*build.changes(before, before)]
+
+
+@pytest.mark.parametrize(
+    ("text", "html"),
+    [
+        ("so $a<b$", ["<mo><</mo>", "<mo>&#x0003C;</mo>"]),
+        (r"$$\begin{aligned} a &= 1 \\ &= 2 \end{aligned}$$", ["<mtable"]),
+        ("- item $x$\n- other", ["<math"]),
+        ("| a |\n|---|\n| $\\frac12$ |", ["<mfrac>"]),
+        (r"\$5 and `$x$`, $5 to $6", ["<p>$5 and <code>$x$</code>, $5 to $6</p>"]),
+    ],
+)
+def test_formulas_become_mathml_and_money_stays(book, text, html):
+    assert any(part in book.markdown(text) for part in html)
+
+
+@pytest.mark.parametrize("tex", [r"\nosuchthing", "a & b", r"\frac{1", "x_{", r"\text{\foo}"])
+def test_a_formula_that_cannot_be_converted_is_named(book, tex):
+    with pytest.raises(ValueError, match=re.escape(repr(tex))):
+        book.mathml(tex, "inline")
+
+
+@pytest.mark.parametrize(
+    "html",
+    [
+        '<script src="https://x.org/a.js"></script>',
+        "<img src=//x.org/a.png>",
+        '<img src="figures/a.png">',
+        '<link rel="stylesheet" href="http://x.org/a.css">',
+        "<style>@import 'https://x.org/a.css';</style>",
+        '<p style="background: url(https://x.org/a.png)">',
+    ],
+)
+def test_a_page_that_loads_anything_is_found(book, html):
+    assert book.loads(html)
+    assert [*book.flaws({"a.html": html})]
+
+
+def test_links_that_the_reader_may_follow_load_nothing(book):
+    html = '<a href="https://x.org">x</a><a href="#here">y</a><p id="here"><img src="data:,">'
+    assert not [*book.flaws({"a.html": html})]
+    assert [*book.flaws({"a.html": html.replace("#here", "#there")})]
+
+
+def test_a_page_is_whole_and_told_to_load_nothing(book):
+    html = book.page("A < B", "<h1>A</h1><h2 id='b'>B</h2>", None, ("c.html", "C"))
+    assert not book.loads(html)
+    for part in ('lang="en"', "<title>A &lt; B</title>", "default-src 'none'", '<main id="main">'):
+        assert part in html
+    assert re.search(r'<a class="skip" href="#main">.*<a href="#b">B</a>', html, re.DOTALL)
+    assert '<a rel="next" href="c.html">C →</a>' in html
