@@ -32,7 +32,7 @@ import io
 import math
 import sys
 import tempfile
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, replace
 from functools import reduce
@@ -65,6 +65,7 @@ from perception import (
     Trained,
     altitude_bins,
     bootstrap_errors,
+    check_rng,
     draw_pose,
     draw_scenes,
     fit_suite,
@@ -160,20 +161,24 @@ PRESETS = {"published": _published, "textbook": _textbook}
 
 
 def preset(name: str = "published", horizon: int = 150) -> Preset:
-    """Return an aircraft of `PRESETS` that lands in `horizon` steps; ValueError if unknown."""
-    return PRESETS[Settings(preset=name, horizon=horizon).preset](horizon)
+    """Return the aircraft `name` of `PRESETS`, which lands in `horizon` steps, or ValueError."""
+    run = Settings(preset=name, horizon=horizon)
+    return PRESETS[run.preset](run.horizon)
 
 
 # ------------------------------------------------------------------------------ the experiment
 
 
 def cost_scale(Psi: Array, suite: PerceptionSuite) -> float:
-    """Return Upsilon by a rule that was fixed before any result was seen.
+    """Return Upsilon for a Psi (pH, pH) by a rule that was fixed before any result was seen.
 
+    ValueError if the suite has one model only.  The rule is
     beta Upsilon (W-1) H = 0.2 alpha (expected control term of All Small) at alpha = 0.8 and
     beta = 0.2, whatever the weights in use, so that sweeping those means something.
     """
     H, W, _ = suite.mean.shape
+    if W < 2:
+        raise ValueError("suite: expected 2 or more models to put a price on, found 1")
     problem = SelectionProblem(Psi, suite.mean, suite.variance, suite.cost)
     return float(0.2 * 0.8 * problem.control_term(np.zeros(H)) / (0.2 * (W - 1) * H))
 
@@ -211,6 +216,13 @@ DEFAULTS: dict[str, dict[str, Any]] = {
 }
 
 
+def _check_name(argument: str, name: object, known: Collection[str]) -> None:
+    """Raise ValueError unless a name is among those that are known."""
+    if not isinstance(name, str) or name not in known:
+        found = ms.shown(name)
+        raise ValueError(f"{argument}: expected one of {', '.join(known)}, found {found}")
+
+
 @dataclass(frozen=True)
 class Settings:
     """What a run is made of: the options of the command line.  ValueError names a wrong one."""
@@ -228,10 +240,12 @@ class Settings:
 
     def __post_init__(self) -> None:
         for name, value in asdict(self).items():
-            if name in NAMES and value not in (known := tuple(NAMES[name])):
-                raise ValueError(f"{name}: expected one of {', '.join(known)}, found {value!r}")
+            if name in NAMES:
+                _check_name(name, value, NAMES[name])
             if name in ("horizon", "trials", "seed"):
-                value = ms.check_count(name, value, minimum=0 if name == "seed" else 1)
+                # One more step: Psi at horizon 10^4.  One more trial: the errors of all models.
+                each = 8 * self.horizon if name == "trials" else 10**5 * (name == "horizon")
+                value = ms.check_count(name, value, minimum=int(name != "seed"), each=each)
             if name in ("alpha", "beta") or (name == "upsilon" and value is not None):
                 value = ms.check_number(name, value, minimum=0)
             object.__setattr__(self, name, value)
@@ -281,17 +295,20 @@ def policies(
     text: it knows the errors (H, W, p) of every trial beforehand and solves
     ``prob:model_selection``.  Both are infeasible.  Random is one schedule for all trials, as in
     their code.  Best Single (constant) and Greedy (each step alone, coupling ignored) are ours.
+    The schedule `optimal` (H,) is that of the solver.
     """
     H, W, _ = problem.mean.shape
     constant = np.repeat(np.arange(W)[:, None], H, axis=1)
-    known = (replace(problem, mean=e, variance=np.zeros_like(e)) for e in errors)
+    each = (ms.check_array("errors", e, "H W p", problem.mean.shape) for e in errors)
+    known = (replace(problem, mean=e, variance=np.zeros_like(e)) for e in each)
+    optimal = ms.check_choices(optimal, H, W)
     return {
         "Oracle": None,
         "Clairvoyant": np.array([ms.solve(trial).choices for trial in known]),
         "Optimal": optimal,
         "Best Single": constant[problem.total_cost(constant).argmin()],
         "Greedy": ms.stepwise_cost(problem).argmin(axis=1),
-        "Random": rng.integers(W, size=H),
+        "Random": check_rng(rng).integers(W, size=H),
         "All Large": constant[-1],
         "All Small": constant[0],
     }
@@ -303,11 +320,18 @@ def fly(
     """Roll out all trials; return altitudes (trials, H+1) and control costs (trials,).
 
     s is (trials, H, p), errors of all models are (trials, H, W, p), choices (H,), (trials, H), or
-    None for estimates without error.
+    None for estimates without error; `information` is a pattern.  ValueError if not.
     """
+    ms.check_information(information)
+    H, p = landing.task.horizon, landing.task.p
+    s = ms.check_array("s", s, "trials H p", (None, H, p))
+    errors = ms.check_array("errors", errors, "trials H W p", (len(s), H, None, p))
     error = np.zeros_like(s)
     if choices is not None:
-        run = np.broadcast_to(choices, s.shape[:2])[..., None, None]
+        c = ms.check_choices(choices, H, errors.shape[2])
+        if c.ndim > 1 and c.shape != s.shape[:2]:
+            raise ValueError(f"choices: expected shape {s.shape[:2]} or ({H},), found {c.shape}")
+        run = np.broadcast_to(c, s.shape[:2])[..., None, None]
         error = np.take_along_axis(errors, run, axis=2)[:, :, 0]
     prior = landing.prior_mean if information == "causal" else None
     x, u = ms.run_controller(landing.task, landing.x0, s, s + error, information, prior)
@@ -323,7 +347,7 @@ def run_experiment(
     change neither the problem nor the first trials.  Networks that are not given are trained.
     ValueError as in `modelselect.psi`.
     """
-    run = settings or Settings()
+    run = Settings() if settings is None else settings
     streams = np.random.default_rng(run.seed).spawn(4)
     landing = preset(run.preset, run.horizon)
     Psi = ms.psi(landing.task, run.information)
@@ -332,6 +356,8 @@ def run_experiment(
     suite = EXPERIMENTS[run.experiment](landing, run, streams[0], trained)
     upsilon = landing.upsilon if run.upsilon is None else run.upsilon
     upsilon = cost_scale(Psi, suite) if upsilon is None else upsilon
+    if not math.isfinite(float(suite.cost.max()) * upsilon):
+        raise ValueError(f"upsilon: the costs overflow, found {upsilon:g}")
     suite = replace(suite, cost=suite.cost * upsilon)
     tables = (suite.mean, suite.variance, suite.cost)
     problem = SelectionProblem(Psi, *tables, run.alpha, run.beta)
@@ -362,6 +388,7 @@ def pareto(
     exceeds P- by at most r C-: so r = 0.01 (P+ - P-) / C- to 100 (P+ - P-) / C+ reaches both
     ends to 1%.  Weighted sums find the corners of the front's convex hull, nothing in between.
     """
+    points = ms.check_count("points", points, each=len(problem.mean))
     ends = [ms.solve(replace(problem, alpha=a, beta=1 - a)).choices for a in (1.0, 0.0)]
     (least, most), (dear, cheap) = problem.control_term(ends), problem.perception_term(ends)
     span, ratio = dear - cheap, np.ones(1)
@@ -375,7 +402,13 @@ def pareto(
 
 
 def model_cost(networks: Sequence[Network], cost: str) -> Array:
-    """Return the costs (W,) of networks: w, or the multiply-adds times (W-1) / the largest."""
+    """Return the costs (W,) of networks: w, or the multiply-adds times (W-1) / the largest.
+
+    The first if `cost` is ``linear``, the second if ``counted``; else ValueError.
+    """
+    _check_name("cost", cost, COSTS)
+    if not len(networks):
+        raise ValueError("networks: expected one or more, found none")
     counted = np.array([float(network.multiply_adds) for network in networks])
     W = len(counted)
     return (W - 1) * counted / counted.max() if cost == "counted" else np.arange(float(W))
@@ -384,7 +417,10 @@ def model_cost(networks: Sequence[Network], cost: str) -> Array:
 def fit_landing(
     landing: Preset, measured: Residuals, cost: Array, bins: int, *, guard: bool = False
 ) -> PerceptionSuite:
-    """Fit a suite in bins of equally many residuals; with `guard`, its upper confidence bounds."""
+    """Fit a suite in bins of equally many residuals; with `guard`, its upper confidence bounds.
+
+    `cost` (W,) and the number of `bins` are those of `fit_suite`, with its errors.
+    """
     h = landing.path[:-1]
     edges = altitude_bins(measured.altitude, h, bins)
     suite = fit_suite(measured, h, cost, bins=edges)
@@ -394,11 +430,12 @@ def fit_landing(
 def learn(
     seed: int, folder: Path | None = None, *, progress: bool = False, **options: Any
 ) -> Trained:
-    """Train the models of a seed, or load those that are in the folder; else save them there.
+    """Train the models of a `seed`, or load those that are in the folder; else save them there.
 
-    Options are those of `train_models`.  ValueError as in `load_models`; nothing is overwritten.
+    The `options` are those of `train_models`.  ValueError as in `load_models`; no file is
+    overwritten.
     """
-    sizes = options.get("architecture", ARCHITECTURE)
+    seed, sizes = ms.check_count("seed", seed, minimum=0), options.get("architecture", ARCHITECTURE)
     made_of = repr((1, seed, sizes, sorted(options.items()), MOUNT, LOWEST, HIGHEST))
     key = hashlib.sha256(made_of.encode()).hexdigest()[:16]
     path = None if folder is None else folder / f"models-{key}.npz"
@@ -440,6 +477,10 @@ def fly_on_pictures(result: Result, s: Array, choices: Choices, seed: int) -> tu
     if result.trained is None or information not in ("measurement", "causal"):
         raise ValueError(f"information: a flight has no forecast, found {information!r}")
     A, B, C, _, _ = landing.task.over_time()
+    H, W, p = result.suite.mean.shape
+    s = ms.check_array("s", s, "trials H p", (None, H, p))
+    choices = ms.check_choices(ms.check_array("choices", choices, "H", (H,)), H, W)
+    seed = ms.check_count("seed", seed, minimum=0)
     (P, S, K, _), rng, N = ms.riccati(landing.task), np.random.default_rng(seed), len(s)
     scene, x, u, e = draw_scenes(N, rng), [np.tile(landing.x0, (N, 1))], [], []
     for t, w in enumerate(choices):
@@ -483,9 +524,12 @@ def judge_on_pictures(
 ) -> tuple[Result, dict[str, Regret]]:
     """Solve under a pattern without forecast, and fly policies of `FLOWN` in three ways.
 
+    ValueError for another policy, or if `information` is not ``measurement`` or ``causal``.
     Guarded is optimal for the suite of `guard_suite`.  Inputs and Gaussian errors are those of
     `run_experiment`, and Upsilon follows the rule for the pattern's Psi.
     """
+    for policy in policies:
+        _check_name("policies", policy, FLOWN)
     run = replace(result.settings, information=information, upsilon=None)
     result = run_experiment(run, trained=result.trained)
     landing, problem, N, h = result.landing, result.problem, run.trials, result.landing.path[:-1]
@@ -521,17 +565,23 @@ def sample_sizes(
     repeats: int = 40,
     fresh: int = FRESH,
 ) -> Array:
-    """Regret of schedules that were fitted on few residuals (sizes, 2, repeats).
+    """Return the regret of schedules fitted on few residuals (sizes, 2, repeats).
 
     Of the held-out pictures, n are drawn and a suite is fitted, as it is or guarded by
     `guard_suite`; its optimal schedule is judged by a suite of `fresh` new pictures.  Regret is
     the total cost beyond that of the optimum of the latter, as a share of it: a little too much,
-    as this optimum has had some luck as well.
+    as this optimum has had some luck as well.  ValueError for a size beyond the residuals.
     """
     trained, landing, problem = result.trained, result.landing, result.problem
     assert trained is not None
     rng = np.random.default_rng([result.settings.seed, 1])
     old, cost, W = trained.residuals, result.suite.cost, len(trained.networks)
+    fresh, repeats = ms.check_count("fresh", fresh), ms.check_count("repeats", repeats, each=1)
+    counts = [
+        ms.check_count("sizes", n, minimum=2) for n in ms.check_array("sizes", sizes, "n", (None,))
+    ]
+    if max(counts) > (M := len(old.residual) // W):
+        raise ValueError(f"sizes: expected numbers up to the {M} residuals, found {sizes}")
 
     def pose(suite: PerceptionSuite) -> SelectionProblem:
         return replace(problem, mean=suite.mean, variance=suite.variance)
@@ -539,12 +589,12 @@ def sample_sizes(
     new = measure_models(trained.networks, fresh, rng)
     truth = pose(fit_landing(landing, new, cost, 20))
     least = ms.solve(truth).cost
-    table, M = np.empty((len(sizes), 2, repeats)), len(old.residual) // W
-    for i, k in np.ndindex(len(sizes), repeats):
-        chosen = rng.permutation(M)[: sizes[i]]
+    table = np.empty((len(counts), 2, repeats))
+    for i, k in np.ndindex(len(counts), repeats):
+        chosen = rng.permutation(M)[: counts[i]]
         rows = (M * np.arange(W)[:, None] + chosen).ravel()
         few = Residuals(old.names, old.model[rows], old.altitude[rows], old.residual[rows])
-        bins = min(20, max(2, sizes[i] // 12))  # which leaves about ten residuals in each
+        bins = min(20, max(2, counts[i] // 12))  # which leaves about ten residuals in each
         for j in range(2):
             suite = fit_landing(landing, few, cost, bins, guard=bool(j))
             table[i, j, k] = truth.total_cost(ms.solve(pose(suite)).choices) / least - 1
@@ -589,6 +639,7 @@ def root_mean_square(values: Array) -> tuple[float, float]:
 
     The interval is that of the mean square, through the derivative of the root.
     """
+    values = _check_values(values)
     rms = math.sqrt((values**2).mean())
     return rms, half_width(values**2) / (2 * rms) if rms > 0 else 0.0
 
@@ -679,6 +730,7 @@ def published_log(settings: Settings, offset: int = 0) -> dict[str, Array]:
 
     Model w costs (w + offset) * Upsilon: 1 is as logged, 0 converts to the convention of the text.
     """
+    offset = ms.check_count("offset", offset, minimum=0)
     logged, table = PUBLISHED[settings.experiment]
     if settings.experiment == "simulated" and replace(settings, trials=100, seed=0) != logged:
         return {}
@@ -691,8 +743,17 @@ def published_log(settings: Settings, offset: int = 0) -> dict[str, Array]:
     return means
 
 
+def _check_values(values: Array) -> Array:
+    """Return numbers (trials,) whose squares do not overflow, or raise ValueError."""
+    checked = ms.check_array("values", values, "trials", (None,))
+    if abs(checked).max() > 1e150:
+        raise ValueError("values: expected numbers of size <= 1e150, found larger ones")
+    return checked
+
+
 def half_width(values: Array) -> float:
     """Half of the 95% t-interval for the mean of values (trials,); NaN for a single trial."""
+    values = _check_values(values)
     N = len(values)
     return float(stdtrit(N - 1, 0.975) * values.std(ddof=1) / math.sqrt(N)) if N > 1 else math.nan
 
@@ -885,7 +946,8 @@ def plot_pareto(result: Result, optima: Sequence[Schedule] | None = None) -> Fig
 
     In expectation, as control cost beyond that of perfect perception; `optima` are of `pareto`.
     """
-    optima, problem = optima or pareto(result.problem)[1], result.problem
+    problem = result.problem
+    optima = pareto(problem)[1] if optima is None else optima
     c = [schedule.choices for schedule in optima]
     figure, axes = plt.subplots()
     label = f"optimal at {len(c)} $\\alpha:\\beta$\n({sum(o.is_optimal for o in optima)} proved)"
@@ -962,8 +1024,11 @@ def plot_psi(task: ControlTask) -> Figure:
 
 @_styled()
 def plot_gallery(seed: int = 0) -> Figure:
-    """Draw three landings as the camera sees them (``fig:airsim_env``, ``fig:airsim_dataset``)."""
-    altitude = np.array([100.0, 60, 35, 20, 10, 5, 2, 0])
+    """Draw three landings of a `seed`, as seen (``fig:airsim_env``, ``fig:airsim_dataset``)."""
+    altitude, seed = (
+        np.array([100.0, 60, 35, 20, 10, 5, 2, 0]),
+        ms.check_count("seed", seed, minimum=0),
+    )
     rng, N = np.random.default_rng(seed), len(altitude)
     figure, panels = plt.subplots(4, N, figsize=(16, 8.6))
     worlds = draw_scenes(3, rng)
@@ -995,9 +1060,11 @@ def plot_accuracy(trained: Trained) -> Figure:
 
 @_styled()
 def plot_distribution(trained: Trained, model: int = -1) -> Figure:
-    """Draw the errors of one model against altitude (``fig:airsim_distro_b7``)."""
-    figure, axes = plt.subplots()
+    """Draw the errors of a `model` against altitude (``fig:airsim_distro_b7``); else ValueError."""
     W = len(trained.networks)
+    if not ms.check_count("model", model, minimum=-W) < W:
+        raise ValueError(f"model: expected one of {W}, found {model}")
+    figure, axes = plt.subplots()
     h, r = (
         v.reshape(W, -1)[model] for v in (trained.residuals.altitude, trained.residuals.residual)
     )
@@ -1078,7 +1145,7 @@ def write_figures(result: Result, folder: Path, *, progress: bool = False) -> No
 
 
 def write_atomically(path: Path, content: bytes) -> None:
-    """Write a file completely or not at all: beside its place first, then moved there."""
+    """Write `content` to a file completely or not at all: beside it first, then moved there."""
     path.parent.mkdir(parents=True, exist_ok=True)
     part = path.with_name(f".{path.name}.part")
     try:
@@ -1106,7 +1173,7 @@ def check_targets(out: Path | None, path: Path | None) -> None:
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line: the fields of `Settings`, and where to write what.
 
-    Returns 0; bad input ends it with status 2, after one line that says what was wrong.
+    Returns 0; bad input in `argv` ends it with status 2, after one line that says what was wrong.
     """
     about = "Land an aircraft, choosing perception models."
     parser = argparse.ArgumentParser("landing.py", usage=argparse.SUPPRESS, description=about)

@@ -81,13 +81,17 @@ OPTIMALITY_GAP = 1e-9
 WIDTHS = [64 * 16**k for k in range(8)]
 # `dynamic_program` merges labels and truncates offsets up to this fraction of the cost.
 ROUNDING = 1e-10
+# Most numbers in one array, 8 GB: what needs more is refused before memory runs out.
+MOST_NUMBERS = 10**9
 
 
 # ----------------------------------------------------------------------------- the checker
 
 
 def as_numbers(name: str, value: npt.ArrayLike) -> npt.NDArray[Any]:
-    """Return `value` as an array of real numbers of any shape, or raise ValueError saying why."""
+    """Return `value` as an array of real numbers, or raise ValueError that opens with `name`."""
+    if np.ma.is_masked(value):
+        raise ValueError(f"{name}: expected all entries, found a masked array")
     try:
         raw = np.asarray(value)
     except ValueError:
@@ -95,6 +99,12 @@ def as_numbers(name: str, value: npt.ArrayLike) -> npt.NDArray[Any]:
     if raw.dtype.kind not in "biuf":
         raise ValueError(f"{name}: expected real numbers, found dtype {raw.dtype}")
     return raw
+
+
+def shown(value: object) -> str:
+    """Return `value` as it stands in a message: on one line, and not too long."""
+    text = " ".join(repr(value).split())
+    return text if len(text) <= 80 else text[:77] + "..."
 
 
 def check_array(
@@ -106,7 +116,7 @@ def check_array(
     ----------
     name : str
         What the caller calls the argument; opens every message.
-    value : array_like
+    value : array_like, any shape
         Real numbers: booleans, integers or floats.
     axes : str
         Names of the axes, such as ``"H W p"``; a leading ``...`` admits axes in front.
@@ -124,7 +134,7 @@ def check_array(
     letters = axes.replace("...", "").split()
     found = raw.shape[max(0, raw.ndim - len(letters)) :] if "..." in axes else raw.shape
     fits = len(found) == len(letters) and all(
-        got == want if want is not None else got > 0 for got, want in zip(found, sizes, strict=True)
+        want is None or got == want for got, want in zip(found, sizes, strict=True)
     )
     if not fits or 0 in raw.shape:
         named = ", ".join(axes.split()) + ("," if len(axes.split()) == 1 else "")
@@ -148,39 +158,49 @@ def _read_only(array: npt.NDArray[Any]) -> npt.NDArray[Any]:
 
 
 def check_number(name: str, value: Any, *, minimum: float = -math.inf) -> float:
-    """Return `value` as a finite float of at least `minimum`, or raise ValueError saying why."""
+    """Return `value`, called `name`, as a finite float >= `minimum`, or raise ValueError."""
     number = float(check_array(name, value, "", ()))
     if number < minimum:
         raise ValueError(f"{name}: expected a number >= {minimum:g}, found {number:g}")
     return number
 
 
-def check_count(name: str, value: Any, *, minimum: int = 1) -> int:
-    """Return `value` as an int of at least `minimum`, or raise ValueError saying why."""
-    number = check_number(name, value)
-    if np.asarray(value).dtype == bool or number != int(number) or number < minimum:
-        raise ValueError(f"{name}: expected an integer >= {minimum}, found {value!r}")
-    return int(number)
+def check_count(name: str, value: Any, *, minimum: int = 1, each: int = 0) -> int:
+    """Return `value`, called `name`, as an int >= `minimum`, or raise ValueError saying why.
+
+    With `each`, the numbers that one more of it adds to an array, `MOST_NUMBERS` is the limit.
+    """
+    number, raw = check_number(name, value), np.asarray(value)
+    if raw.dtype == bool or number != int(number) or number < minimum:
+        raise ValueError(f"{name}: expected an integer >= {minimum}, found {shown(value)}")
+    if number * each > MOST_NUMBERS:
+        raise ValueError(
+            f"{name}: expected at most {MOST_NUMBERS // each}, for lack of memory, found {value}"
+        )
+    return int(raw)  # of `number`, the last digits of a large integer are lost
 
 
 def check_semidefinite(name: str, matrices: Array, *, definite: bool = False) -> None:
-    """Raise ValueError unless every (k, k) matrix is symmetric positive semidefinite.
+    """Raise ValueError unless all `matrices` (..., k, k) are symmetric positive semidefinite.
 
     Judged after scaling the diagonal to 1 (`MATRIX_TOLERANCE`), so that the units of cost and
     perception do not matter, nor that they differ from row to row.  With `definite`, matrices
-    that are singular up to rounding are refused as well.
+    that are singular up to rounding are refused as well.  Messages open with `name`.
     """
     k = matrices.shape[-1]
     scale = np.sqrt(np.abs(np.diagonal(matrices, axis1=-2, axis2=-1)))
     scale = np.where(scale > 0, scale, 1)
-    scaled = matrices / scale[..., None] / scale[..., None, :]
-    skew = np.abs(scaled - np.swapaxes(scaled, -1, -2)).max()
+    with np.errstate(over="ignore", invalid="ignore"):
+        scaled = matrices / scale[..., None] / scale[..., None, :]
+        skew = np.abs(scaled - np.swapaxes(scaled, -1, -2)).max()
     if skew > MATRIX_TOLERANCE:
         raise ValueError(
             f"{name}: expected a symmetric matrix, found asymmetry {skew:.3g}; "
             f"symmetrise it first: ({name} + {name}.T) / 2"
         )
-    smallest = np.linalg.eigvalsh(scaled)[..., 0].min()
+    # Entries that overflow exceed their diagonal by far: the matrix is indefinite.
+    finite = np.isfinite(scaled).all()
+    smallest = np.linalg.eigvalsh(scaled)[..., 0].min() if finite else -math.inf
     if smallest <= (10 * np.finfo(float).eps if definite else -MATRIX_TOLERANCE) * k:
         kind = "positive definite" if definite else "positive semidefinite"
         raise ValueError(
@@ -193,7 +213,7 @@ def check_information(information: str) -> None:
     """Raise ValueError unless `information` names one of the four patterns."""
     if not isinstance(information, str) or information not in INFORMATION:
         raise ValueError(
-            f"information: expected one of {', '.join(INFORMATION)}, found {information!r}"
+            f"information: expected one of {', '.join(INFORMATION)}, found {shown(information)}"
         )
 
 
@@ -232,6 +252,15 @@ class ControlTask:
     ------
     ValueError
         A wrong shape, a number that is not finite, an asymmetric or indefinite cost.
+
+    Examples
+    --------
+    Position and speed, pushed by a motor and by a wind that is estimated:
+
+    >>> A, B, C = [[1, 0.1], [0, 1]], [[0], [0.1]], [[0], [0.1]]
+    >>> task = ControlTask(A, B, C, Q=np.diag([1, 0]), R=[[0.1]], horizon=50)
+    >>> task.n, task.m, task.p
+    (2, 1, 1)
     """
 
     A: Array
@@ -243,9 +272,10 @@ class ControlTask:
     Q_final: Array | None = None
 
     def __post_init__(self) -> None:
-        H = check_count("horizon", self.horizon)
         raw = {name: as_numbers(name, getattr(self, name)) for name in "ABCQR"}
-        n, m, p = ((raw[name].shape[-1:] or (None,))[0] for name in "ABC")
+        n, m, p = ((raw[name].shape[-1:] or (None,))[0] or None for name in "ABC")
+        each = max(n or 1, m or 1, p or 1) ** 2
+        H = check_count("horizon", self.horizon, each=each)
         sizes = {"H": H, "n": n, "m": m, "p": p}
         checked: dict[str, Any] = {"horizon": H}
         for name, axes in {"A": "n n", "B": "n m", "C": "n p", "Q": "n n", "R": "m m"}.items():
@@ -313,7 +343,8 @@ def riccati(task: ControlTask) -> Riccati:
     Raises
     ------
     ValueError
-        If the cost-to-go overflows: some growing mode is out of the control's reach.
+        If the cost-to-go overflows, as some growing mode is out of the control's reach; or if
+        R is lost in rounding beside B'PB, so that nothing tells redundant controls apart.
     """
     A, B, _, Q, R = task.over_time()
     H = task.horizon
@@ -322,6 +353,11 @@ def riccati(task: ControlTask) -> Riccati:
     with np.errstate(over="ignore", invalid="ignore"):
         for t in reversed(range(H)):
             S[t] = R[t] + B[t].T @ P[t + 1] @ B[t]
+            if _lost(S[t]):
+                raise ValueError(
+                    f"task: R is lost in rounding beside B'PB at step {t} of {H}, so that controls "
+                    "of equal effect cannot be told apart; raise R, or merge those controls"
+                )
             K[t] = np.linalg.solve(S[t], B[t].T @ P[t + 1] @ A[t])
             closed_loop[t] = A[t] - B[t] @ K[t]
             P[t] = Q[t] + A[t].T @ P[t + 1] @ closed_loop[t]
@@ -332,6 +368,14 @@ def riccati(task: ControlTask) -> Riccati:
                     "control cannot reach grows too fast: shorten the horizon or rescale"
                 )
     return Riccati(P, S, K, closed_loop)
+
+
+def _lost(S: Array) -> bool:
+    """Whether a finite S (m, m), scaled to unit diagonal, is singular up to rounding."""
+    if len(S) == 1 or not np.isfinite(S).all():
+        return False
+    scale = S.diagonal() ** -0.5
+    return bool(np.linalg.eigvalsh(scale[:, None] * S * scale)[0] < MATRIX_TOLERANCE)
 
 
 def _costate(task: ControlTask, law: Riccati, s: Array) -> Array:
@@ -499,9 +543,12 @@ def control_cost(task: ControlTask, states: npt.ArrayLike, controls: npt.ArrayLi
             f"controls: expected the leading axes of states, {x.shape[:-2]}, found {u.shape[:-2]}"
         )
     _, _, _, Q, R = task.over_time()
-    return np.einsum("...ti,tij,...tj->...", x, Q[1:], x) + np.einsum(
-        "...ti,tij,...tj->...", u, R, u
-    )
+    with np.errstate(over="ignore", invalid="ignore"):
+        over_states = np.einsum("...ti,tij,...tj->...", x, Q[1:], x)
+        cost = over_states + np.einsum("...ti,tij,...tj->...", u, R, u)
+    if not np.isfinite(cost).all():
+        raise ValueError("states: the cost overflows, or that of controls does; rescale")
+    return cost
 
 
 # -------------------------------------------------------------------- Psi, the sensitivity
@@ -532,8 +579,21 @@ def psi(task: ControlTask, information: str = "open_loop") -> Array:
     ------
     ValueError
         An unknown pattern, or dynamics so unstable that Psi is out of reach of double precision.
+
+    Examples
+    --------
+    Of an integrator: errors cost more if they come early, and add up if they have one sign.
+
+    >>> one = np.eye(1)
+    >>> psi(ControlTask(A=one, B=one, C=one, Q=one, R=one, horizon=2))
+    array([[1.4, 0.8],
+           [0.8, 0.6]])
     """
     check_information(information)
+    stacked = 1 if information != "open_loop" else task.n  # open loop, all states are held at once
+    check_count(
+        "task: horizon", task.horizon, each=task.horizon * stacked * max(task.m, task.p) ** 2
+    )
     with np.errstate(over="ignore", invalid="ignore"):
         if information in ("causal", "measurement"):
             Psi = la.block_diag(*_diagonal_blocks(task, information))
@@ -566,8 +626,8 @@ def _open_loop_factor(task: ControlTask) -> Array:
         return np.asarray(la.solve_triangular(G, L, lower=True))
     except (la.LinAlgError, ValueError):
         raise ValueError(
-            "task: planning open loop over this horizon is out of reach of double precision, as "
-            "A is too unstable; use information='preview' or a shorter horizon"
+            "task: planning open loop over this horizon is out of reach of double precision, as A "
+            "is too unstable or R too small; use information='preview', a shorter horizon or more R"
         ) from None
 
 
@@ -626,9 +686,12 @@ def preview_regret(task: ControlTask, errors: npt.ArrayLike) -> Any:
     law = riccati(task)
     q = _costate(task, law, e)
     regret = np.zeros(e.shape[:-2])
-    for t in range(task.horizon):
-        B_h = (e[..., t, :] @ (law.P[t + 1] @ C[t]).T + q[..., t + 1, :]) @ B[t]
-        regret += ((B_h @ np.linalg.inv(law.S[t])) * B_h).sum(axis=-1)
+    with np.errstate(over="ignore", invalid="ignore"):
+        for t in range(task.horizon):
+            B_h = (e[..., t, :] @ (law.P[t + 1] @ C[t]).T + q[..., t + 1, :]) @ B[t]
+            regret += ((B_h @ np.linalg.inv(law.S[t])) * B_h).sum(axis=-1)
+    if not np.isfinite(regret).all():
+        raise ValueError("errors: the regret overflows; rescale the errors or the costs")
     return regret[()]
 
 
@@ -655,9 +718,9 @@ def one_hot(choices: npt.ArrayLike, models: int) -> Array:
     ValueError
         A choice that is not an integer in 0..W-1.
     """
-    W = check_count("models", models)
-    c = _check_choices(choices, None, W)
-    return np.asarray(np.eye(W)[c])
+    H = np.size(check_array("choices", choices, "H", (None,)))
+    W = check_count("models", models, each=H)
+    return np.asarray(check_choices(choices, H, W)[:, None] == np.arange(W), dtype=np.float64)
 
 
 def from_one_hot(weights: npt.ArrayLike) -> Choices:
@@ -678,13 +741,13 @@ def from_one_hot(weights: npt.ArrayLike) -> Choices:
         Entries other than 0 and 1, or a row that does not hold exactly one 1.
     """
     b = check_array("weights", weights, "H W", (None, None))
-    if not np.array_equal(b, np.eye(b.shape[1])[b.argmax(axis=1)]):
+    if not ((b == 0) | (b == 1)).all() or (b.sum(axis=1) != 1).any():
         raise ValueError("weights: expected a single 1 and otherwise 0 in every row")
     return np.asarray(b.argmax(axis=1))
 
 
-def _check_choices(choices: npt.ArrayLike, H: int | None, W: int) -> Choices:
-    """Return choices (..., H) as integers, or raise ValueError."""
+def check_choices(choices: npt.ArrayLike, H: int | None, W: int) -> Choices:
+    """Return choices (..., H) as integers from 0 to W - 1, or raise ValueError saying why."""
     c = check_array("choices", choices, "... H", (H,))
     if np.any((c != np.floor(c)) | (c < 0) | (c >= W)):
         raise ValueError(f"choices: expected integers from 0 to {W - 1}, found others")
@@ -698,7 +761,8 @@ class SelectionProblem:
     E[total](c) = alpha (mu_c' Psi mu_c + sum_t trace(Psi_tt Sigma[t, w_t]))
                 + beta sum_t kappa[t, w_t],
     without the constant alpha J(u*).  Errors must be independent across steps; zero variance
-    states known errors (``prob:model_selection``).
+    states known errors (``prob:model_selection``).  Where p = 1, `mean` and `variance` both
+    given transposed, (1, W, H), pose one step of H components: this cannot be caught.
 
     Parameters
     ----------
@@ -718,6 +782,15 @@ class SelectionProblem:
     ValueError
         A wrong shape, a NaN, a negative variance or weight, an indefinite `psi`, or a step at
         which no model is available.
+
+    Examples
+    --------
+    Two steps; model 0 is free and off by 1, model 1 costs 2 and is right:
+
+    >>> mean = [[[1], [0]], [[1], [0]]]
+    >>> problem = SelectionProblem([[1.4, 0.8], [0.8, 0.6]], mean, np.zeros((2, 2, 1)), [0, 2])
+    >>> problem.total_cost([[0, 0], [0, 1], [1, 0], [1, 1]])
+    array([3.6, 3.4, 2.6, 4. ])
     """
 
     psi: Array
@@ -757,12 +830,15 @@ class SelectionProblem:
         with np.errstate(over="ignore", invalid="ignore"):
             felt = np.abs(mean).max(axis=1).ravel()
             largest = felt @ np.abs(self.quadratic) @ felt + np.abs(self.spread).sum()
+            largest += np.abs(self.linear[np.isfinite(np.broadcast_to(cost, (H, W)))]).sum()
         if not largest < 1e300:
-            raise ValueError("psi: the costs overflow; rescale psi, mean, variance or alpha")
+            raise ValueError(
+                "psi: the costs overflow; rescale psi, mean, variance, model_cost, alpha or beta"
+            )
 
     @cached_property
     def quadratic(self) -> Array:
-        """alpha Psi, (pH, pH)."""
+        """Return alpha Psi, (pH, pH)."""
         return _read_only(self.alpha * self.psi)
 
     @cached_property
@@ -797,21 +873,21 @@ class SelectionProblem:
         return float(np.finfo(float).eps * (quadratic.sum() + np.abs(linear).sum()))
 
     def chosen_mean(self, choices: npt.ArrayLike) -> Array:
-        """Stack the mean errors mu_c of schedules (..., H) into vectors (..., pH)."""
+        """Stack the mean errors mu_c of `choices` (..., H) into vectors (..., pH)."""
         c = self._check(choices)
         return self.mean[np.arange(c.shape[-1]), c].reshape(*c.shape[:-1], -1)
 
     def control_term(self, choices: npt.ArrayLike) -> Any:
-        """Return mu_c' Psi mu_c + sum_t trace(Psi_tt Sigma[t, w_t]) of schedules (..., H)."""
+        """Return mu_c' Psi mu_c + sum_t trace(Psi_tt Sigma[t, w_t]) of `choices` (..., H)."""
         mu = self.chosen_mean(choices)
         return ((mu @ self.psi) * mu).sum(axis=-1) + self._total(self.spread, choices)
 
     def perception_term(self, choices: npt.ArrayLike) -> Any:
-        """Return sum_t kappa[t, w_t] of schedules (..., H) (``eq:jp``)."""
+        """Return sum_t kappa[t, w_t] of `choices` (..., H) (``eq:jp``)."""
         return self._total(np.broadcast_to(self.model_cost, self.mean.shape[:2]), choices)
 
     def total_cost(self, choices: npt.ArrayLike) -> Any:
-        """Return alpha control_term + beta perception_term of schedules (..., H)."""
+        """Return alpha control_term + beta perception_term of `choices` (..., H)."""
         mu = self.chosen_mean(choices)
         return ((mu @ self.quadratic) * mu).sum(axis=-1) + self._total(self.linear, choices)
 
@@ -820,7 +896,7 @@ class SelectionProblem:
         return table[np.arange(c.shape[-1]), c].sum(axis=-1)
 
     def _check(self, choices: npt.ArrayLike) -> Choices:
-        return _check_choices(choices, *self.mean.shape[:2])
+        return check_choices(choices, *self.mean.shape[:2])
 
 
 # --------------------------------------------------------------- schedules and certificates
@@ -900,9 +976,13 @@ def reference_bound(problem: SelectionProblem, reference: npt.ArrayLike) -> tupl
         A wrong shape or a number that is not finite.
     """
     d = check_array("reference", reference, "pH", (len(problem.psi),))
-    G, constant = _slopes(problem, problem.linear, d)
-    lowest = G.min(axis=1)
-    return float(lowest.sum() + constant), G - lowest[:, None]
+    with np.errstate(over="ignore", invalid="ignore"):
+        G, constant = _slopes(problem, problem.linear, d)
+        lowest = G.min(axis=1)
+        bound = float(lowest.sum() + constant)
+    if not math.isfinite(bound):
+        raise ValueError("reference: the bound overflows; take a point among the mean errors")
+    return bound, G - lowest[:, None]
 
 
 def _slopes(problem: SelectionProblem, linear: Array, d: Array) -> tuple[Array, float]:
@@ -937,6 +1017,14 @@ def check_certificate(problem: SelectionProblem, schedule: Schedule) -> float:
     ValueError
         If the schedule does not state this bound and its own cost (up to rounding), or a lower
         bound outside of them.
+
+    Examples
+    --------
+    >>> mean = [[[1], [0]], [[1], [0]]]
+    >>> problem = SelectionProblem([[1.4, 0.8], [0.8, 0.6]], mean, np.zeros((2, 2, 1)), [0, 1])
+    >>> schedule = solve(problem)
+    >>> check_certificate(problem, schedule) <= schedule.lower_bound <= schedule.cost
+    True
     """
     bound, _ = reference_bound(problem, schedule.reference)
     cost, d = float(problem.total_cost(schedule.choices)), schedule.reference
@@ -1003,6 +1091,14 @@ def enumerate_schedules(problem: SelectionProblem, *, max_schedules: int = 2**22
     ------
     ValueError
         If there are more than `max_schedules`.
+
+    Examples
+    --------
+    >>> mean = [[[1], [0]], [[1], [0]]]
+    >>> problem = SelectionProblem([[1.4, 0.8], [0.8, 0.6]], mean, np.zeros((2, 2, 1)), [0, 1])
+    >>> schedule = enumerate_schedules(problem)
+    >>> schedule.choices, schedule.cost, schedule.work["schedules"]
+    (array([1, 0]), 1.6, 4)
     """
     H, W, _ = problem.mean.shape
     max_schedules = check_count("max_schedules", max_schedules)
@@ -1119,14 +1215,20 @@ def project_to_simplex(points: Array) -> Array:
 
     Parameters
     ----------
-    points : ndarray, (..., W)
+    points : array_like, (..., W)
         Finite numbers.
 
     Returns
     -------
     ndarray, (..., W)
         Points of the simplex.
+
+    Raises
+    ------
+    ValueError
+        Points that are no finite numbers.
     """
+    points = check_array("points", points, "... W", (None,))
     points = points - points.max(axis=-1, keepdims=True)  # same nearest point, no lost digits
     v = -np.sort(-points, axis=-1)
     thresholds = (np.cumsum(v, axis=-1) - 1) / np.arange(1, v.shape[-1] + 1)
@@ -1155,10 +1257,10 @@ def projected_gradient(
         Point -> (value, lower bound on the minimum, gradient).
     project : callable
         Any array -> the nearest point of the set.
-    start : ndarray
+    start : array_like, any shape
         A point of the set.
-    step : ndarray
-        Step lengths, at most 1/L in the metric in which `project` projects.
+    step : array_like, (...) as many axes as `start`, of its lengths or 1
+        Step lengths > 0, at most 1/L in the metric in which `project` projects.
     gap : float
         Stop when value and bound agree to this fraction.
     negligible : float
@@ -1176,10 +1278,15 @@ def projected_gradient(
     Raises
     ------
     ValueError
-        A `gap` or `max_iterations` out of range.
+        A limit out of range, or a `start` or `step` that is no array of finite numbers.
     """
     gap = check_number("gap", gap, minimum=0)
-    x = older = start
+    negligible = check_number("negligible", negligible, minimum=0)
+    x = older = check_array("start", start, "...", ())
+    step = check_array("step", step, "...", ())
+    axes = zip(step.shape, x.shape, strict=False)
+    if step.ndim != x.ndim or any(k not in (1, n) for k, n in axes) or step.min() <= 0:
+        raise ValueError(f"step: expected lengths > 0 for a start {x.shape}, found {step.shape}")
     value, bound, slope = evaluate(x)
     older_slope, momentum = slope, 1.0
     for iteration in range(check_count("max_iterations", max_iterations)):
@@ -1203,7 +1310,7 @@ def relax(
     min over b of d'(alpha Psi)d + sum l.b with d_t = sum_w b[t,w] mu[t,w] (``eq:perEncoding``
     with 0 <= b <= 1): convex, and at any iterate LB(d) bounds every schedule from below.
 
-    Step t moves by its own 1/L_t, which tames a Psi of many magnitudes: with centred means D_t
+    Step t moves by its own 1/L_t, made for steps of very different weight: with centred means D_t
     (on the simplex only differences between models matter), L_t = 2 L trace(D_t'M_tt D_t) and L
     the largest eigenvalue of the Hessian so scaled.  See `projected_gradient`.
 
@@ -1225,6 +1332,16 @@ def relax(
     ------
     ValueError
         A `gap` or `max_iterations` out of range.
+
+    Examples
+    --------
+    Its value is below the optimum, 1.6, and its bound as good as its value.
+
+    >>> mean = [[[1], [0]], [[1], [0]]]
+    >>> problem = SelectionProblem([[1.4, 0.8], [0.8, 0.6]], mean, np.zeros((2, 2, 1)), [0, 1])
+    >>> relaxation = relax(problem)
+    >>> relaxation.bound
+    1.5833
     """
     H, _, p = problem.mean.shape
     allowed = np.isfinite(problem.linear)
@@ -1304,6 +1421,7 @@ def relax_interior_point(
     expired, p = _stopwatch(time_limit), problem.mean.shape[2]
     gap = check_number("gap", gap, minimum=0)
     max_iterations = check_count("max_iterations", max_iterations)
+    ceiling = float(check_array("ceiling", ceiling, "", (), finite=False))
     usable = _usable(problem, allowed)
     linear = np.where(usable, problem.linear, np.inf)
     free = np.flatnonzero(usable.sum(axis=1) > 1)
@@ -1323,8 +1441,8 @@ def relax_interior_point(
             break
         b, z = weights[free], np.where(inside, G[free] - y[:, None], 1)
         tau, previous = float((b * z)[inside].mean()), tau
-        if not (tau < previous and z.min() > 0):
-            break  # rounding has the upper hand; the best bound so far stands
+        if not (tau < previous and z.min() > 1e-280):
+            break  # rounding, or underflow, has the upper hand; the best bound so far stands
         db, dy = _newton_step(M, mu, inside, b, z)
         weights = weights.copy()
         weights[free] = np.maximum(b + db, 0)
@@ -1343,11 +1461,24 @@ def _usable(
     usable = np.isfinite(problem.linear)
     if allowed is None:
         return usable
-    if np.shape(allowed) != usable.shape or not (usable & allowed).any(axis=1).all():
+    mask = check_array("allowed", allowed, "H W", usable.shape)
+    if not ((mask == 0) | (mask == 1)).all():
+        raise ValueError("allowed: expected True and False only")
+    if not (usable & (mask == 1)).any(axis=1).all():
+        raise ValueError("allowed: expected an available model in every row, found none")
+    return np.asarray(usable & (mask == 1))
+
+
+def _given(problem: SelectionProblem, relaxation: Relaxation) -> Relaxation:
+    """Evaluate a relaxation that was handed over anew, as another problem's proves nothing."""
+    b = check_array("relaxation.weights", relaxation.weights, "H W", problem.mean.shape[:2])
+    off = np.abs(b.sum(axis=1) - 1).max()
+    if b.min() < 0 or off > 1e-9 or (b > 0)[np.isinf(problem.linear)].any():
         raise ValueError(
-            f"allowed: expected an available model in every row of {usable.shape}, found none"
+            "relaxation.weights: expected rows >= 0 that sum to 1, and 0 where a model is not "
+            "available, found others"
         )
-    return np.asarray(usable & allowed, dtype=bool)
+    return _relaxed(problem, problem.linear, b, relaxation.iterations)[0]
 
 
 def _newton_step(
@@ -1406,8 +1537,21 @@ def round_and_swap(problem: SelectionProblem, relaxation: Relaxation | None = No
     -------
     Schedule
         A schedule that no single swap improves, with the relaxation's bound.
+
+    Raises
+    ------
+    ValueError
+        A relaxation whose weights are no point of this problem's.
+
+    Examples
+    --------
+    >>> mean = [[[1], [0]], [[1], [0]]]
+    >>> problem = SelectionProblem([[1.4, 0.8], [0.8, 0.6]], mean, np.zeros((2, 2, 1)), [0, 1])
+    >>> schedule = round_and_swap(problem)
+    >>> schedule.choices, schedule.cost, schedule.is_optimal
+    (array([1, 0]), 1.6, False)
     """
-    start = relax_interior_point(problem) if relaxation is None else relaxation
+    start = relax_interior_point(problem) if relaxation is None else _given(problem, relaxation)
     choices, swaps = _swap(problem, start.weights.argmax(axis=1))
     return _certified(problem, choices, start.reference, "round_and_swap", swaps=swaps)
 
@@ -1538,9 +1682,8 @@ def _compress(
             return []
         rows, before = slice(t * p, (t + 1) * p), slice(0, t * p)
         column = U[before, rows]
-        V, strength, _ = la.svd(
-            np.hstack([scaled[before], column * size[rows]]), full_matrices=False
-        )
+        reach = np.hstack([scaled[before], column * size[rows]])
+        V, strength, _ = np.linalg.svd(reach, full_matrices=False)  # SciPy's refuses no rows
         V = V[:, strength > least]
         steps[t] = (basis[rows].copy(), V.T @ basis[before], V.T @ column)
         basis, scaled = V, V * strength[: V.shape[1]]
@@ -1629,13 +1772,22 @@ def dynamic_program(
     Raises
     ------
     ValueError
-        A limit out of range.
+        A limit out of range, or a relaxation whose weights are no point of this problem's.
+
+    Examples
+    --------
+    >>> mean = [[[1], [0]], [[1], [0]]]
+    >>> problem = SelectionProblem([[1.4, 0.8], [0.8, 0.6]], mean, np.zeros((2, 2, 1)), [0, 1])
+    >>> schedule = dynamic_program(problem)
+    >>> schedule.choices, schedule.is_optimal
+    (array([1, 0]), True)
     """
     expired = _stopwatch(time_limit)
     started, max_labels = perf_counter(), check_count("max_labels", max_labels, minimum=WIDTHS[0])
     gap = check_number("gap", gap, minimum=0)
     if relaxation is None:
         relaxation = relax_interior_point(problem, time_limit=time_limit)
+    relaxation = _given(problem, relaxation)
     first = round_and_swap(problem, relaxation)
     best, cost, proved = first.choices, first.cost, first.root_bound
     triangle = _triangle(problem, relaxation.reference, cost - proved)
@@ -1717,7 +1869,7 @@ class Node(NamedTuple):
     parent: int  #: position of the parent in the tree; -1 for the root
     step: int  #: the step at which this node has chosen; -1 for the root
     model: int  #: the model chosen there
-    bound: float  #: no schedule below this node costs less
+    bound: float  #: every schedule below this node costs at least this, or at least `best`
     seconds: float  #: when it was bounded
     best: float  #: cost of the best schedule known then
 
@@ -1759,13 +1911,22 @@ def branch_and_bound(
     Raises
     ------
     ValueError
-        A limit out of range.
+        A limit out of range, or a relaxation whose weights are no point of this problem's.
+
+    Examples
+    --------
+    >>> mean = [[[1], [0]], [[1], [0]]]
+    >>> problem = SelectionProblem([[1.4, 0.8], [0.8, 0.6]], mean, np.zeros((2, 2, 1)), [0, 1])
+    >>> schedule = branch_and_bound(problem)
+    >>> schedule.choices, schedule.is_optimal
+    (array([1, 0]), True)
     """
     expired, started = _stopwatch(time_limit), perf_counter()
     most = math.inf if max_nodes is None else check_count("max_nodes", max_nodes)
     gap, root = check_number("gap", gap, minimum=0), relaxation
     if root is None:
         root = relax_interior_point(problem, gap=gap / 10, time_limit=time_limit)
+    root = _given(problem, root)
     incumbent = round_and_swap(problem, root)
     best, cost, lower = incumbent.choices, incumbent.cost, root.bound
     tree = [Node(-1, -1, -1, lower, perf_counter() - started, cost)]
@@ -1851,6 +2012,14 @@ def solve(
     ------
     ValueError
         A limit out of range.
+
+    Examples
+    --------
+    >>> mean = [[[1], [0]], [[1], [0]]]
+    >>> problem = SelectionProblem([[1.4, 0.8], [0.8, 0.6]], mean, np.zeros((2, 2, 1)), [0, 1])
+    >>> schedule = solve(problem)
+    >>> schedule.choices, schedule.gap
+    (array([1, 0]), 0.0)
     """
     gap = check_number("gap", gap, minimum=0)
     max_labels = check_count("max_labels", max_labels, minimum=WIDTHS[0])
@@ -1949,7 +2118,7 @@ def correlated_cost(
         A wrong shape, or a covariance over all steps that is not positive semidefinite.
     """
     H, W, p = problem.mean.shape
-    c = _check_choices(choices, H, W)
+    c = check_choices(choices, H, W)
 
     def block(t: int, k: int) -> Array:
         found = as_numbers("covariance", covariance(t, int(c[t]), k, int(c[k])))
@@ -2010,6 +2179,12 @@ class BlendProblem:
         delta = self.problem.mean[:, self.best] - self.problem.mean[:, self.worst]
         return np.asarray(la.block_diag(*delta[:, :, None]))
 
+    def _mean(self, c: Array) -> Array:
+        """Mean errors (..., pH) of blends (..., H)."""
+        mu, c = self.problem.mean, c[..., None]
+        mixed = (1 - c) * mu[:, self.worst] + c * mu[:, self.best]
+        return np.asarray(mixed.reshape(*c.shape[:-2], -1))
+
     @cached_property
     def quadratic(self) -> Array:
         """Psi', (H, H)."""
@@ -2029,9 +2204,17 @@ class BlendProblem:
         return float(self.problem.total_cost(np.full(len(self.linear), self.worst)))
 
     def total_cost(self, blend: npt.ArrayLike) -> Any:
-        """Return f(c) of blends (..., H)."""
+        """Return f(c) of `blend` (..., H): 0 <= c_t <= 1, or beyond; ValueError if it overflows."""
         c = check_array("blend", blend, "... H", (len(self.linear),))
-        return ((c @ self.quadratic) * c).sum(axis=-1) + c @ self.linear + self.constant
+        # Not in canonical form, which loses the digits of f(0) - f(c) where models differ much.
+        ell = self.problem.linear
+        with np.errstate(over="ignore", invalid="ignore"):
+            d = self._mean(c)
+            cost = ((d @ self.problem.quadratic) * d).sum(axis=-1)
+            cost += (1 - c) @ ell[:, self.worst] + c @ ell[:, self.best]
+        if not np.isfinite(cost).all():
+            raise ValueError("blend: the cost overflows; expected numbers from 0 to 1")
+        return cost
 
 
 class Blend(NamedTuple):
@@ -2069,6 +2252,15 @@ def solve_blend(
     ------
     ValueError
         A `gap` or `max_iterations` out of range.
+
+    Examples
+    --------
+    Model 1 at the first step, and a little of it at the second:
+
+    >>> mean = [[[1], [0]], [[1], [0]]]
+    >>> problem = SelectionProblem([[1.4, 0.8], [0.8, 0.6]], mean, np.zeros((2, 2, 1)), [0, 1])
+    >>> solve_blend(BlendProblem(problem)).choices
+    array([1. , 0.167])
     """
     M, g = blend.quadratic, blend.linear
     tiny = np.finfo(float).tiny
@@ -2076,8 +2268,11 @@ def solve_blend(
     scale = size**-0.5
     step = scale**2 / (2 * max(1, la.eigvalsh(scale[:, None] * M * scale)[-1]))
 
+    ell = blend.problem.linear[:, blend.best] - blend.problem.linear[:, blend.worst]
+
     def evaluate(c: Array) -> tuple[float, float, Array]:
-        slope, cost = 2 * M @ c + g, float(blend.total_cost(c))
+        pull = blend.problem.quadratic @ blend._mean(c)
+        slope, cost = 2 * blend._differences.T @ pull + ell, float(blend.total_cost(c))
         return cost, cost - float(np.maximum(slope * c, slope * (c - 1)).sum()), slope
 
     def project(c: Array) -> Array:
@@ -2155,10 +2350,12 @@ def partition_problem(integers: Sequence[int], information: str = "open_loop") -
     ValueError
         An entry that is not a positive integer, too large a sum, or another pattern.
     """
+    check_array("integers", integers, "H", (None,))
     a = [check_count("integers", value) for value in as_numbers("integers", integers)]
-    H = check_count("len(integers)", len(a))
+    H = len(a)
     if sum(a) > 1e7:
         raise ValueError(f"integers: expected a sum of at most 1e7, found {sum(a)}")
+    check_information(information)
     if information not in ("open_loop", "preview"):
         raise ValueError(f"information: expected open_loop or preview, found {information!r}")
     one, B = np.ones((1, 1)), np.ones((H, 1, 1))

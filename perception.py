@@ -27,7 +27,14 @@ import numpy.typing as npt
 from scipy.special import chdtri, stdtrit
 from tqdm import tqdm
 
-from modelselect import check_array, check_count, check_number, check_semidefinite
+from modelselect import (
+    as_numbers,
+    check_array,
+    check_count,
+    check_number,
+    check_semidefinite,
+    shown,
+)
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.intp]
@@ -75,7 +82,7 @@ class PerceptionSuite:
         full = check_array("variance", self.variance, "...", ()).ndim == 4
         axes, sizes = ("H W p p", [H, W, p, p]) if full else ("H W p", [H, W, p])
         variance = check_array("variance", self.variance, axes, sizes)
-        (check_semidefinite if full else _check_nonnegative)("variance", variance)
+        (check_semidefinite if full else _check_range)("variance", variance)
         timed = check_array("cost", self.cost, "...", (), finite=False).ndim == 2
         axes, sizes = ("H W", [H, W]) if timed else ("W", [W])
         cost = check_array("cost", self.cost, axes, sizes, finite=False)
@@ -86,7 +93,7 @@ class PerceptionSuite:
             size = _check_integers("sample_size", size, "H W", (H, W), top=2**53)
         if error is not None:
             error = check_array("standard_error", error, "H W p", (H, W, p))
-            _check_nonnegative("standard_error", error)
+            _check_range("standard_error", error)
         _freeze(self, names=names, mean=mean, variance=variance, cost=cost)
         _freeze(self, sample_size=size, standard_error=error)
 
@@ -99,10 +106,12 @@ class PerceptionSuite:
             Names or indices, each at most once; anything else raises ValueError.
         """
         number = {key: w for w, name in enumerate(self.names) for key in (name, w)}
-        if unknown := [model for model in models if model not in number]:
+        # A mask of truths would pass for the indices 0 and 1.
+        unknown = [w for w in models if isinstance(w, bool | np.bool_) or w not in number]
+        if unknown or isinstance(models, str):
             raise ValueError(
                 f"models: expected names among {', '.join(self.names)}, or indices, "
-                f"found {unknown[0]!r}"
+                f"found {shown([*unknown, models][0])}"
             )
         w = [number[model] for model in models]
         tables = {
@@ -133,9 +142,9 @@ def published_suite(
     upsilon : float
         Model w costs w * upsilon (``eq:perceptionCostDistro``; the code charges one more), >= 0.
     """
-    H, step = check_count("horizon", horizon), check_number("upsilon", upsilon, minimum=0)
+    H, step = check_count("horizon", horizon, each=8), check_number("upsilon", upsilon, minimum=0)
     mean, variance = (
-        np.cumsum(_check_rng(rng).uniform(0, increments, (H, 8)), axis=1)[:, ::-1, None]
+        np.cumsum(check_rng(rng).uniform(0, increments, (H, 8)), axis=1)[:, ::-1, None]
         for increments in (
             (0.05, 0.1, 1, 4, 8, 12, 16, 16),
             (0.3, 0.06, 0.08, 0.01, 0.02, 0.02, 0.03, 0.03),
@@ -182,15 +191,16 @@ def gaussian_suite(
     price = check_array("cost", cost, "... W", (None,), finite=False)
     H, W = len(x), price.shape[-1]
     w = np.arange(W, dtype=np.float64)
-    mean = check_array("bias", bias(w, x[:, None]), "H W", (H, W))
-    deviation = check_array("spread", spread(w, x[:, None]), "H W", (H, W))
-    _check_nonnegative("spread", deviation)
+    with np.errstate(over="ignore", invalid="ignore"):
+        mean = check_array("bias", bias(w, x[:, None]), "H W", (H, W))
+        deviation = check_array("spread", spread(w, x[:, None]), "H W", (H, W))
+    _check_range("spread", deviation, top=1e150)  # its square must not overflow
     relative = check_array("jitter", jitter, "2", (2,))
-    _check_nonnegative("jitter", relative)
-    if signs not in ("same", "model", "step"):
-        raise ValueError(f"signs: expected same, model or step, found {signs!r}")
+    _check_range("jitter", relative, top=1e150)
+    if not isinstance(signs, str) or signs not in ("same", "model", "step"):
+        raise ValueError(f"signs: expected same, model or step, found {shown(signs)}")
     if relative.any() or signs != "same":
-        rng = _check_rng(rng)
+        rng = check_rng(rng)
         factor = 1 + relative[:, None, None] * rng.standard_normal((2, H, W))
         # A deviation below zero counts by its size, as only its square is used.
         mean, deviation = mean * factor[0], deviation * factor[1]
@@ -243,7 +253,8 @@ def sample_errors(suite: PerceptionSuite, trials: int, rng: np.random.Generator)
     rng : numpy.random.Generator
         Source of randomness.
     """
-    z = _check_rng(rng).standard_normal((check_count("trials", trials), *suite.mean.shape))
+    N = check_count("trials", trials, each=suite.mean.size)
+    z = check_rng(rng).standard_normal((N, *suite.mean.shape))
     if suite.variance.ndim == 3:
         return suite.mean + np.sqrt(suite.variance) * z
     values, V = np.linalg.eigh(suite.variance)
@@ -330,11 +341,12 @@ def read_residuals(path: str | os.PathLike[str], names: Sequence[str] | None = N
     """
     try:
         # Spreadsheets put a byte order mark before UTF-8 text: "-sig" skips it.
-        with open(path, encoding="utf-8-sig", newline="") as file:
+        with open(os.fspath(path), encoding="utf-8-sig", newline="") as file:
             reader = csv.reader(file, strict=True)
             lines = [(reader.line_num, [cell.strip() for cell in row]) for row in reader]
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise ValueError(f"{path}: cannot be read as a CSV file: {error}") from None
+    except (OSError, ValueError, csv.Error) as error:
+        why = f"{path}: cannot be read as a CSV file: {error}"
+        raise ValueError(" ".join(why.split())) from None
     (line, header), *rows = [(i, row) for i, row in lines if any(row)] or [(1, [])]
     if header != HEADER:
         wanted, found = ",".join(HEADER), ",".join(header)[:60]
@@ -369,7 +381,7 @@ def write_residuals(path: str | os.PathLike[str], residuals: Residuals) -> None:
     """
     names = [residuals.names[w] for w in residuals.model]
     columns = (names, residuals.altitude.tolist(), residuals.residual.tolist())
-    with open(path, "w", encoding="utf-8", newline="") as file:
+    with open(os.fspath(path), "w", encoding="utf-8", newline="") as file:
         csv.writer(file).writerows([HEADER, *zip(*columns, strict=True)])
 
 
@@ -394,7 +406,7 @@ def fit_suite(
         Altitude at every step.
     cost : array_like, (W,) or (H, W)
         Cost of one invocation.
-    bins : int or array_like
+    bins : int or array_like, (edges,)
         Number of equal bins over the range of the trajectory, or increasing edges around it.  A
         bin includes its lower edge, the last one its upper edge too; residuals outside the edges
         are not used.
@@ -404,7 +416,7 @@ def fit_suite(
     ValueError
         Bad edges, or a model with fewer than 2 residuals in a bin that the trajectory visits.
     """
-    h = check_array("trajectory", trajectory, "H", (None,))
+    h = _check_trajectory(trajectory)
     W, r = len(residuals.names), residuals.residual
     cell, step, cells = _cells(residuals, h, bins)
     n = np.bincount(cell, minlength=cells)
@@ -440,11 +452,12 @@ def bootstrap_errors(
     rng : numpy.random.Generator
         Source of randomness.
     """
-    N, W = check_count("trials", trials), len(residuals.names)
-    cell, step, cells = _cells(residuals, check_array("trajectory", trajectory, "H", (None,)), bins)
+    h, W = _check_trajectory(trajectory), len(residuals.names)
+    N = check_count("trials", trials, each=len(h) * W)
+    cell, step, cells = _cells(residuals, h, bins)
     n = np.bincount(cell, minlength=cells).reshape(-1, W)
     first = np.cumsum(n).reshape(-1, W) - n
-    pick = first[step] + _check_rng(rng).integers(n[step], size=(N, len(step), W))
+    pick = first[step] + check_rng(rng).integers(n[step], size=(N, len(step), W))
     return np.asarray(residuals.residual[np.argsort(cell, kind="stable")][pick][..., None])
 
 
@@ -485,12 +498,12 @@ def altitude_bins(altitude: npt.ArrayLike, trajectory: npt.ArrayLike, count: int
     count : int
         Number of bins, >= 1; ValueError if there are fewer altitudes.
     """
-    h = check_array("trajectory", trajectory, "H", (None,))
+    h = _check_trajectory(trajectory)
     near = check_array("altitude", altitude, "N", (None,))
-    near = near[(near > h.min()) & (near < h.max())]
-    inner = np.linspace(0, 1, check_count("count", count) + 1)[1:-1]
-    if len(near) < count:
-        raise ValueError(f"altitude: expected {count} or more along the way, found {len(near)}")
+    near, bins = near[(near > h.min()) & (near < h.max())], check_count("count", count)
+    if len(near) < bins:
+        raise ValueError(f"altitude: expected {bins} or more along the way, found {len(near)}")
+    inner = np.linspace(0, 1, bins + 1)[1:-1]
     return np.array([h.min(), *np.quantile(near, inner), h.max()])
 
 
@@ -503,6 +516,7 @@ def _cells(
     bin and the last lie outside the edges.
     """
     edges, W = _bin_edges(bins, h), len(residuals.names)
+    _check_range("residuals", abs(residuals.residual), top=1e150)  # squares must not overflow
     step = np.digitize(h, edges)
     cell = np.digitize(residuals.altitude, edges) * W + residuals.model
     cells = (len(edges) + 1) * W
@@ -519,10 +533,11 @@ def _cells(
 
 def _bin_edges(bins: int | npt.ArrayLike, h: Array) -> Array:
     """Return the edges of bins around the altitudes h, the last moved up by a rounding step."""
-    if np.isscalar(bins):
-        edges = np.linspace(h.min(), h.max(), check_count("bins", bins) + 1)
+    if as_numbers("bins", bins).ndim == 0:
+        edges = np.linspace(h.min(), h.max(), check_count("bins", bins, each=1) + 1)
     else:
         edges = check_array("bins", bins, "edges", (None,)).copy()
+        _check_range("bins", abs(edges), top=1e150)
     if len(edges) < 2 or np.diff(edges).min() <= 0 or h.min() < edges[0] or h.max() > edges[-1]:
         raise ValueError(
             f"bins: expected increasing edges from {h.min():g} or less to {h.max():g} or more, "
@@ -552,16 +567,39 @@ class Scene(NamedTuple):
     pose: Array  #: (N, 8), of `draw_pose`
 
 
+def _check_scene(scene: Scene) -> Scene:
+    """Return the scene with its tables checked, or raise ValueError."""
+    checked = []
+    for name, table, shape in zip(
+        Scene._fields, scene, ((6,), (6, 4), (5, 7), (4,), (8,)), strict=True
+    ):
+        axes = " ".join(["N", *map(str, shape)])
+        checked.append(check_array(f"scene.{name}", table, axes, (len(scene.pose), *shape)))
+        _check_range(f"scene.{name}", abs(checked[-1]), top=1e15)
+    return Scene(*checked)
+
+
+def _check_altitude(altitude: npt.ArrayLike, count: int) -> Array:
+    """Return altitudes (N,) that the camera can see, or raise ValueError."""
+    h = check_array("altitude", altitude, "N", (count,))
+    if h.min() < LOWEST or h.max() > HIGHEST:
+        found = f"{h.min():g} to {h.max():g}"
+        raise ValueError(f"altitude: expected {LOWEST:g} to {HIGHEST:g} ft, found {found}")
+    return h
+
+
 def draw_pose(count: int, rng: np.random.Generator) -> Array:
-    """Draw pitch, roll, offset per ft of distance (2), heading, blur, shake and dust (count, 8)."""
-    pose = _check_rng(rng).standard_normal((check_count("count", count), 8))
+    """Return pitch, roll, offset per ft of distance (2), heading, blur, shake, dust (count, 8)."""
+    N = check_count("count", count, each=6 * 7)  # the largest table of a scene
+    pose = check_rng(rng).standard_normal((N, 8))
     pose *= [0.05, 0.05, 0.05, 0.05, 0.6, 0.015, 0.15, 0.3]
     return pose
 
 
 def draw_scenes(count: int, rng: np.random.Generator) -> Scene:
     """Draw `count` >= 1 independent scenes; ValueError as in `sample_errors`."""
-    pose, N, draw = draw_pose(count, rng), count, rng.uniform
+    pose, draw = draw_pose(count, rng), rng.uniform
+    N = len(pose)
     turn, phase = draw(0, 2 * np.pi, (2, N, 6))
     far = draw([14] * 5 + [30], [50] * 5 + [60], (N, 6))
     place = far[..., None] * np.stack([np.cos(turn), np.sin(turn)], -1)
@@ -578,10 +616,14 @@ def draw_scenes(count: int, rng: np.random.Generator) -> Scene:
 
 
 def draw_views(count: int, rng: np.random.Generator) -> tuple[Scene, Array, Array]:
-    """Draw scenes, altitudes in ft, uniform in the logarithm of the distance, and pitch in rad."""
+    """Draw `count` scenes, altitudes in ft, uniform in the logarithm of distance, and pitch in rad.
+
+    Return a Scene and two arrays (count,); ValueError as in `sample_errors`.
+    """
     scene, low, high = draw_scenes(count, rng), LOWEST + MOUNT, HIGHEST + MOUNT
-    z = np.exp(rng.uniform(math.log(low), math.log(high), count))
-    return scene, np.clip(z - MOUNT, LOWEST, HIGHEST), rng.normal(0, 0.08, count)
+    N = len(scene.pose)
+    z = np.exp(rng.uniform(math.log(low), math.log(high), N))
+    return scene, np.clip(z - MOUNT, LOWEST, HIGHEST), rng.normal(0, 0.08, N)
 
 
 def photograph(
@@ -619,15 +661,17 @@ def photograph(
     ValueError
         A wrong shape, or an altitude out of range.
     """
-    h, S = check_array("altitude", altitude, "N", (len(scene.pose),)), check_count("side", side)
-    if h.min() < LOWEST or h.max() > HIGHEST:
-        found = f"{h.min():g} to {h.max():g}"
-        raise ValueError(f"altitude: expected {LOWEST:g} to {HIGHEST:g} ft, found {found}")
-    nod = check_array("pitch", np.zeros(h.shape) + np.asarray(pitch, np.float64), "N", h.shape)
+    scene, N, S = _check_scene(scene), len(scene.pose), check_count("side", side)
+    check_count("side", side, each=N * S)
+    h, seconds = _check_altitude(altitude, N), check_number("seconds", seconds)
+    single = as_numbers("pitch", pitch).ndim == 0
+    nod = check_array("pitch", np.full(N, pitch) if single else pitch, "N", (N,))
+    _check_range("pitch", abs(nod), top=1e15)
+    _check_range("seconds", np.array(abs(seconds)), top=1e15)
     size = max(1, 40_000 // S**2)  # pictures at a time, which fit a processor's cache
     blocks = [slice(i, i + size) for i in range(0, len(h), size)]
     parts = [(Scene(*(table[b] for table in scene)), h[b], nod[b]) for b in blocks]
-    return np.concatenate([_expose(*part, S, _check_rng(rng), seconds) for part in parts])
+    return np.concatenate([_expose(*part, S, check_rng(rng), seconds) for part in parts])
 
 
 def _expose(
@@ -720,9 +764,11 @@ class Network(NamedTuple):
             total += S**2 * layer.weight.size
         return total
 
-    def altitude(self, pictures: Pictures) -> Array:
+    def altitude(self, pictures: npt.ArrayLike) -> Array:
         """Estimate altitudes (N,) in feet, within range, from pictures (N, side, side)."""
-        log = CENTRE + SPREAD * forward(self.layers, pictures)[0].astype(np.float64)
+        S = self.side
+        checked = check_array("pictures", pictures, "N side side", (None, S, S))
+        log = CENTRE + SPREAD * forward(self.layers, checked)[0].astype(np.float64)
         return np.clip(np.exp(log) - MOUNT, LOWEST, HIGHEST)
 
 
@@ -738,8 +784,15 @@ SPREAD = math.log((HIGHEST + MOUNT) / (LOWEST + MOUNT)) / math.sqrt(12)
 
 
 def new_network(shape: tuple[int, int, int], rng: np.random.Generator) -> Network:
-    """Draw a network of an `ARCHITECTURE` with N(0, 2 / inputs) weights (He et al. 2015)."""
-    side, filters, width = shape
+    """Draw a network with N(0, 2 / inputs) weights (He et al. 2015).
+
+    Its `shape` (3,) is a row of `ARCHITECTURE`, of 8 pixels a side or more; else ValueError.
+    """
+    sizes = check_array("shape", shape, "3", (3,))
+    side, filters, width = (check_count("shape", k, each=10**6) for k in sizes)
+    if side < 8:
+        raise ValueError(f"shape: expected pictures of 8 pixels or more a side, found {side}")
+    check_rng(rng)
     layers, S, channels = [], side, 1
     for window, out in ((4, filters), (3, 2 * filters), (0, width), (1, 1)):
         k = window or S  # the third layer has one window, the whole picture
@@ -766,33 +819,44 @@ def _fold(d: Pictures, k: int, shape: tuple[int, ...]) -> Pictures:
     return x
 
 
-def forward(layers: Sequence[Layer], pictures: Pictures) -> tuple[Pictures, list[Any]]:
-    """Return outputs (N,), and the input and the windows of every layer.
+def forward(layers: Sequence[Layer], pictures: npt.ArrayLike) -> tuple[Pictures, list[Any]]:
+    """Return outputs (N,) of `pictures` (N, side, side), and input and windows of every layer.
 
+    ValueError if the pictures are not of the size that `layers` read.
     Light and contrast are removed first: each picture gets mean 0 and deviation about 1.
     """
-    x = pictures - pictures.mean(axis=(1, 2), keepdims=True)
+    checked = check_array("pictures", pictures, "N side side", (None, None, None))
+    _check_range("pictures", abs(checked), top=1e15)  # squares in single precision
+    x = np.asarray(checked, dtype=layers[0].weight.dtype)
+    x = x - x.mean(axis=(1, 2), keepdims=True)
     x = (x / (x.std(axis=(1, 2), keepdims=True) + np.float32(0.05)))[..., None]
     seen = []
     for layer in layers:
+        if min(x.shape[1:3]) < layer.window:
+            raise ValueError(f"pictures: expected larger ones, found {checked.shape}")
         cut = _windows(x, layer.window)
         seen.append((x, cut))
         x = cut @ layer.weight + layer.bias
         if layer is not layers[-1]:
             x = np.maximum(x, 0)
+    if x.size != len(x):
+        raise ValueError(f"pictures: expected smaller ones, found {checked.shape}")
     return x.ravel(), seen
 
 
 def gradients(
-    layers: Sequence[Layer], pictures: Pictures, target: Pictures
+    layers: Sequence[Layer], pictures: npt.ArrayLike, target: npt.ArrayLike
 ) -> tuple[float, list[Pictures]]:
     """Return the mean squared error, and its derivatives by each weight and bias in turn.
 
+    The `pictures` are (N, side, side), outputs and `target` (N,); ValueError if not.
     Backpropagation: of a layer X W + b with derivative d by its output, X'd is the derivative by
     W, and d W' that by the windows X; max(0, x) passes on what was positive.
     """
     output, seen = forward(layers, pictures)
-    error = output - target
+    wanted = check_array("target", target, "N", output.shape)
+    _check_range("target", abs(wanted), top=1e15)
+    error = output - wanted.astype(output.dtype)
     d: Pictures = (error * np.float32(2 / len(error)))[:, None, None, None]
     found: list[Pictures] = []
     for (x, cut), layer in reversed(list(zip(seen, layers, strict=True))):
@@ -804,26 +868,35 @@ def gradients(
 
 
 def train_network(
-    network: Network, pictures: Pictures, altitude: Array, epochs: int, rng: np.random.Generator
+    network: Network,
+    pictures: npt.ArrayLike,
+    altitude: npt.ArrayLike,
+    epochs: int,
+    rng: np.random.Generator,
 ) -> Array:
     """Train a network in place by Adam (Kingma and Ba 2015); return the loss (epochs,).
 
+    The `pictures` (N, side, side) are seen from `altitude` (N,) in ft; ValueError if not.
     Batches of about 32 pictures, turned or mirrored at random, as the ground has no upright; the
     step rises to 0.003 in the first epoch, and falls to 0 along a cosine.  The unit of the loss
     is `SPREAD` squared.
     """
+    S, passes = network.side, check_count("epochs", epochs, each=1)
+    pictures = check_array("pictures", pictures, "N side side", (None, S, S))
+    altitude = _check_altitude(altitude, len(pictures))
+    check_rng(rng)
     arrays = [array for layer in network.layers for array in layer[:2]]
     m, v = ([np.zeros_like(array) for array in arrays] for _ in range(2))
     target = ((np.log(altitude + MOUNT) - CENTRE) / SPREAD).astype(np.float32)
-    batches, losses = -(-len(target) // 32), np.zeros(epochs)
-    for t in range(epochs * batches):
+    batches, losses = -(-len(target) // 32), np.zeros(passes)
+    for t in range(passes * batches):
         if t % batches == 0:
             order = rng.permutation(len(target))
         batch = order[t % batches :: batches]
         turned = np.rot90(pictures[batch], int(rng.integers(4)), (1, 2))[:, :: rng.choice([-1, 1])]
         loss, slopes = gradients(network.layers, turned, target[batch])
         losses[t // batches] += loss / batches
-        rate = 0.003 * min((t + 1) / batches, (1 + math.cos(math.pi * t / (epochs * batches))) / 2)
+        rate = 0.003 * min((t + 1) / batches, (1 + math.cos(math.pi * t / (passes * batches))) / 2)
         for array, slope, first, second in zip(arrays, slopes, m, v, strict=True):
             first += 0.1 * (slope - first)
             second += 0.001 * (slope**2 - second)
@@ -865,9 +938,10 @@ def train_models(
         Whether to show a bar, if the output is a terminal.
     """
     n, M = check_count("training", training), check_count("held_out", held_out)
-    passes, W = check_count("epochs", epochs), len(architecture)
+    passes, sizes = check_count("epochs", epochs, each=1), _check_architecture(architecture)
+    W = len(sizes)
     scenes, h, pitch = draw_views(n + M, rng)
-    networks, losses = [new_network(size, rng) for size in architecture], []
+    networks, losses = [new_network(size, rng) for size in sizes], []
     residuals = np.empty((W, M))
     for w in tqdm(range(W), "Training", leave=False, disable=not progress or None):
         pictures = photograph(scenes, h, networks[w].side, rng, pitch=pitch)
@@ -877,10 +951,22 @@ def train_models(
 
 
 def measure_models(networks: Sequence[Network], count: int, rng: np.random.Generator) -> Residuals:
-    """Measure networks on `count` >= 1 new pictures: fresh data, for a second opinion."""
+    """Measure networks on `count` >= 1 new pictures: fresh data, for a second opinion.
+
+    ValueError without networks, and as in `sample_errors`.
+    """
+    if not len(networks):
+        raise ValueError("networks: expected one or more, found none")
     scene, h, pitch = draw_views(count, rng)
     seen = [n.altitude(photograph(scene, h, n.side, rng, pitch=pitch)) - h for n in networks]
     return _measured(np.tile(h, len(seen)), np.concatenate(seen), len(seen))
+
+
+def _check_architecture(architecture: npt.ArrayLike) -> list[tuple[int, int, int]]:
+    """Return the sizes of networks, or raise ValueError."""
+    table = check_array("architecture", architecture, "W 3", (None, 3))
+    side, filters, width = ([check_count("architecture", k) for k in column] for column in table.T)
+    return list(zip(side, filters, width, strict=True))
 
 
 def _measured(altitude: Array, residual: Array, W: int) -> Residuals:
@@ -925,10 +1011,11 @@ def load_models(
     ValueError
         A file that is missing, damaged, foreign, or of other settings, in one line.
     """
-    networks = [new_network(size, np.random.default_rng(0)) for size in architecture]
+    sizes = _check_architecture(architecture)
+    networks = [new_network(size, np.random.default_rng(0)) for size in sizes]
     W = len(networks)
     try:
-        with open(path, "rb") as raw, np.load(raw, allow_pickle=False) as file:
+        with open(os.fspath(path), "rb") as raw, np.load(raw, allow_pickle=False) as file:
             found = dict(file)
         if str(found["key"]) != key:
             raise ValueError(f"expected the key {key}, found {str(found['key'])[:40]}")
@@ -941,7 +1028,8 @@ def load_models(
         return Trained(networks, losses, _measured(found["altitude"], found["residual"], W))
     except Exception as error:  # damage can surface as almost any of them
         why = " ".join(str(error).split()).split(". ")[0][:150]
-        raise ValueError(f"{path}: no file of these models, delete or move it: {why}") from None
+        where = " ".join(str(path).split())
+        raise ValueError(f"{where}: no file of these models, delete or move it: {why}") from None
 
 
 # ------------------------------------------------------------------------------------- checkers
@@ -952,14 +1040,23 @@ def _check_names(names: Sequence[str]) -> tuple[str, ...]:
     found = () if isinstance(names, str) or not np.iterable(names) else tuple(names)
     good = all(isinstance(n, str) and n and n == n.strip() and n.isprintable() for n in found)
     if not (found and good and len(set(found)) == len(found)):
-        raise ValueError(f"names: expected distinct, non-blank strings, found {names!r}")
+        raise ValueError(f"names: expected distinct, non-blank strings, found {shown(names)}")
     return found
 
 
-def _check_nonnegative(name: str, array: Array) -> None:
-    """Raise ValueError if an entry is negative."""
+def _check_range(name: str, array: Array, top: float = math.inf) -> None:
+    """Raise ValueError if an entry is negative or above `top`."""
     if array.min() < 0:
         raise ValueError(f"{name}: expected numbers >= 0, found {array.min():g}")
+    if array.max() > top:
+        raise ValueError(f"{name}: expected numbers of size <= {top:g}, found {array.max():g}")
+
+
+def _check_trajectory(trajectory: npt.ArrayLike) -> Array:
+    """Return the altitudes (H,) of a trajectory, or raise ValueError."""
+    h = check_array("trajectory", trajectory, "H", (None,))
+    _check_range("trajectory", abs(h), top=1e150)
+    return h
 
 
 def _check_integers(
@@ -975,10 +1072,10 @@ def _check_integers(
     return integers
 
 
-def _check_rng(rng: object) -> np.random.Generator:
-    """Return the generator, or raise ValueError if it is something else."""
+def check_rng(rng: object) -> np.random.Generator:
+    """Return `rng` if it is a generator, or raise ValueError."""
     if not isinstance(rng, np.random.Generator):
-        raise ValueError(f"rng: expected numpy.random.default_rng(seed), found {rng!r}")
+        raise ValueError(f"rng: expected numpy.random.default_rng(seed), found {shown(rng)}")
     return rng
 
 

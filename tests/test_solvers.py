@@ -546,9 +546,16 @@ def test_the_gap_of_a_relaxation_is_zero_where_value_and_bound_meet():
     assert point._replace(value=2.0, bound=1.0).gap == 0.5
 
 
-@pytest.mark.parametrize("allowed", [np.zeros((12, 4), dtype=bool), np.ones((12, 3), dtype=bool)])
-def test_every_step_needs_a_model_that_is_allowed(allowed):
-    with pytest.raises(ValueError, match=r"^allowed: expected an available model in every row"):
+@pytest.mark.parametrize(
+    ("allowed", "message"),
+    [
+        (np.zeros((12, 4), dtype=bool), "an available model in every row"),
+        (np.ones((12, 3), dtype=bool), r"shape \(H, W\) = \(12, 4\), found \(12, 3\)"),
+        (np.full((12, 4), 2), "True and False only"),
+    ],
+)
+def test_every_step_needs_a_model_that_is_allowed(allowed, message):
+    with pytest.raises(ValueError, match=f"^allowed: expected {message}"):
         ms.relax_interior_point(known_suite(0), allowed=allowed)
 
 
