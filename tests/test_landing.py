@@ -632,7 +632,7 @@ def test_a_failed_write_leaves_the_old_file(tmp_path, monkeypatch):
     assert path.read_text() == "old" and list(tmp_path.iterdir()) == [path]
 
 
-@pytest.mark.slow
+@pytest.mark.unmutated
 def test_script_runs_from_the_shell():
     script = Path(landing.__file__)
     command = [sys.executable, script, "--no-figures", "--horizon", "5", "--trials", "2"]

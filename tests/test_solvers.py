@@ -435,7 +435,7 @@ def test_shifting_every_price_shifts_the_total(problem, shift):
     assert abs(ms.solve(shifted).cost - ms.solve(problem).cost - moved) <= tolerance
 
 
-@pytest.mark.slow
+@pytest.mark.unmutated
 @settings(max_examples=10)
 @given(st.integers(0, 10**6))
 def test_larger_budgets_never_worsen_the_answer(seed):
