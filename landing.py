@@ -865,7 +865,8 @@ STYLE: Any = {
     "lines.markersize": 11,
     "mathtext.fontset": "cm",
 }
-PERCEPTION = "perception cost (sum of $w \\Upsilon$)"
+#: Axes of perception cost, by `COSTS`.
+PRICE = {"linear": "perception cost (sum of $w \\Upsilon$)", "counted": "perception cost (operations)"}
 #: Colours of Okabe and Ito, which the colour-blind tell apart, and markers, hollow if infeasible.
 LOOK: dict[str, dict[str, Any]] = {
     "Oracle": {"color": "#000000", "marker": "o", "fillstyle": "none"},
@@ -918,7 +919,8 @@ def plot_costs(result: Result) -> Figure:
     figure, axes = plt.subplots()
     for policy, flown in result.flights.items():
         _dot(axes, policy, flown.perception_cost, flown.control_cost)
-    axes.set(xlabel=PERCEPTION, ylabel="control cost", title="Lower left is better")
+    axes.set(xlabel=PRICE[result.settings.cost], ylabel="control cost")
+    axes.set_title("Lower left is better")
     axes.set(yscale=_scale([mean[0] for mean in result.means().values()]))
     figure.legend(loc="outside right upper")
     return figure
@@ -956,7 +958,8 @@ def plot_pareto(result: Result, optima: Sequence[Schedule] | None = None) -> Fig
         if flown.choices is not None and policy != "Clairvoyant":
             x, y = problem.perception_term(flown.choices), problem.control_term(flown.choices)
             axes.plot(x, y, ls="", label=policy, **LOOK[policy])
-    axes.set(xlabel=PERCEPTION, ylabel="extra control cost", yscale=_scale(problem.control_term(c)))
+    axes.set(xlabel=PRICE[result.settings.cost], ylabel="extra control cost")
+    axes.set(yscale=_scale(problem.control_term(c)))
     axes.set_title("No schedule beats the front in both costs")
     figure.legend(loc="outside right upper")
     return figure

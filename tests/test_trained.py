@@ -263,3 +263,10 @@ def test_figures_are_drawn(plot, trained):
     figure.canvas.draw()
     assert all(axes.has_data() or axes.images for axes in figure.axes if axes.get_title())
     plt.close(figure)
+
+
+@pytest.mark.parametrize("plot", [landing.plot_costs, landing.plot_pareto])
+def test_counted_costs_are_not_labelled_as_multiples_of_upsilon(plot, result):
+    figure = plot(result)
+    assert [axes.get_xlabel() for axes in figure.axes] == ["perception cost (operations)"]
+    plt.close(figure)

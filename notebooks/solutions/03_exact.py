@@ -17,7 +17,7 @@ def ruled_out(problem, schedule):
 # %% [markdown]
 # ## Exercise 2
 #
-# $LB(d) = \sum_t \min_w G_{tw}(d) - d^\top M d$. Where the minima are attained by schedule $c$, the
+# $LB(d) = \sum_t \min_w G_{tw}(d) - d^\top M d$. Where schedule $c$ alone attains the minima, the
 # slope is $2M\mu_c - 2Md$, so towards $\mu_c$ the bound rises at first (by twice the squared length
 # of $\mu_c - d$ under $M$). Frank and Wolfe's step lengths $2/(k+2)$ make $d$ an average of
 # means of schedules, hence the mean of a relaxation, and the bound converges to the top at a rate
