@@ -399,7 +399,7 @@ decoded = ms.dynamic_program(problem)
 kept = np.array([(history[t][2] == 0).sum() for t in range(H)])
 print("labels by step, ours:  ", kept)
 print("labels by step, module:", decoded.work["labels"], "passes:", decoded.work["passes"])
-assert decoded.is_optimal and np.isclose(decoded.cost, best.cost, rtol=1e-12)
+assert decoded.is_optimal and np.array_equal(decoded.choices, best.choices)
 
 # %% [markdown]
 # ## Branch and bound: the same bound, applied again and again
@@ -449,25 +449,12 @@ assert all(tree[k].bound < best.cost for k in inner)
 # less than its bound or than the incumbent of that moment, whichever is smaller, as models that
 # cannot beat the incumbent were forbidden on the way. Exercise 4 checks it node by node.)
 #
-# ## All solvers agree, and what a tie means
+# ## What a tie means
 #
-# Five exact solvers, ten more carts, one cost each; every root bound is derived anew.
-
-# %%
-exact = [ms.enumerate_schedules, ms.plain_dynamic_program, ms.dynamic_program]
-exact += [ms.branch_and_bound, ms.solve]
-for seed in range(10):
-    other = cart(horizon=6, models=3, seed=seed)
-    answers = [solver(other) for solver in exact]
-    for answer in answers:
-        assert answer.is_optimal and ms.check_certificate(other, answer) <= answers[0].cost + 1e-9
-        np.testing.assert_allclose(answer.cost, answers[0].cost, rtol=1e-9)
-print(f"{len(exact)} solvers, 10 problems: the same costs")
-
-# %% [markdown]
-# The same costs, not always the same schedules. Give the cart a fifth model, a twin of b0 that
-# costs $10^{-12}$ more. Every b0 in the optimum may be exchanged for its twin. **Predict** how
-# many schedules now count as optimal, that is, lie within the relative gap `OPTIMALITY_GAP`.
+# Four solvers have found the same schedule. That need not be so. Give the cart a fifth model, a
+# twin of b0 that costs $10^{-12}$ more: every b0 in the optimum may be exchanged for it.
+# **Predict** how many schedules now count as optimal, that is, lie within the relative gap
+# `OPTIMALITY_GAP`.
 
 # %%
 twin = replace(
@@ -700,7 +687,9 @@ for seed in range(6):
         given = replace(given, choices=0 * given.choices, cost=test.total_cost(np.zeros(6)))
     found = ruled_out(test, given)
     assert found is not None, "Exercise 1: return a boolean array of shape (H, W)"
-    assert not isinstance(found, tuple), "Exercise 1: reference_bound returns two things; unpack them"
+    assert not isinstance(found, tuple), (
+        "Exercise 1: reference_bound returns two things; unpack them"
+    )
     found = np.asarray(found)
     assert found.shape == (6, 4), "Exercise 1: return one entry for each step and model"
     assert found.dtype == bool, "Exercise 1: return booleans, not the reduced costs themselves"
