@@ -720,7 +720,7 @@ def one_hot(choices: npt.ArrayLike, models: int) -> Array:
     """
     H = np.size(check_array("choices", choices, "H", (None,)))
     W = check_count("models", models, each=H)
-    return np.asarray(check_choices(choices, H, W)[:, None] == np.arange(W), dtype=np.float64)
+    return np.where(check_choices(choices, H, W)[:, None] == np.arange(W), 1.0, 0.0)
 
 
 def from_one_hot(weights: npt.ArrayLike) -> Choices:
@@ -2125,8 +2125,7 @@ def correlated_cost(
         found = found.reshape(1, 1) if p == 1 and found.ndim == 0 else found
         return check_array("covariance", found, "p p", (p, p))
 
-    blocks = [[block(t, k) for k in range(H)] for t in range(H)]
-    joint = check_array("covariance", np.block(blocks), "pH pH", (p * H, p * H))
+    joint = np.block([[block(t, k) for k in range(H)] for t in range(H)])
     check_semidefinite("covariance", joint)
     mu = problem.chosen_mean(c)
     control = mu @ problem.psi @ mu + (problem.psi * joint).sum()

@@ -207,3 +207,28 @@ def dense_plan(task, x, s, start=0):
     F, M, N, Q, R = stacked(task, start)
     u = -np.linalg.solve(R + M.T @ Q @ M, M.T @ Q @ (F @ x + N @ np.ravel(s)))
     return u.reshape(-1, task.m)
+
+
+def replanned(task, x0, s, forecast, perceived=lambda t, x: x):
+    """Controls of a robot that plans anew at each step t, from what it then believes."""
+    x, controls = np.array(x0), np.zeros((task.horizon, task.m))
+    for t in range(task.horizon):
+        controls[t] = dense_plan(task, perceived(t, x), forecast(t), t)[0]
+        x = at(task.A, t) @ x + at(task.B, t) @ controls[t] + at(task.C, t) @ s[t]
+    return controls
+
+
+def dense_flight(task, x0, s, s_hat, information, prior=0.0):
+    """States and controls of a robot that plans by dense algebra from what its pattern tells it."""
+    zero = np.zeros(s.shape)
+    if information == "open_loop":
+        controls = dense_plan(task, x0, s_hat)
+    elif information == "preview":
+        controls = replanned(task, x0, s, lambda t: s_hat[t:])
+    elif information == "causal":
+        controls = replanned(task, x0, s, lambda t: np.vstack([s_hat[t], (zero + prior)[t + 1 :]]))
+    else:
+        controls = replanned(
+            task, x0, s, lambda t: zero[t:], lambda t, x: x + at(task.C, t) @ (s_hat - s)[t]
+        )
+    return plain_states(task, x0, s, controls), controls

@@ -6,7 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import scipy.special as special
+from scipy.ndimage import maximum_filter, minimum_filter
+from scipy.spatial.transform import Rotation
+from scipy.stats import kstest
 
 import perception
 from perception import (
@@ -89,6 +91,115 @@ def test_draws_are_within_range_and_repeat():
     assert draw_pose(4, generator()).shape == (4, 8)
 
 
+def uniform(low, high):
+    return "uniform", (low, high - low)
+
+
+#: What is drawn for every scene, in the order of the fields of `Scene` and the text beside them.
+DRAWN = {
+    "exposure": (lambda s: s.light[:, 0], *uniform(0.55, 1)),
+    "slope across": (lambda s: s.light[:, 1], *uniform(-0.25, 0.25)),
+    "slope along": (lambda s: s.light[:, 2], *uniform(-0.25, 0.25)),
+    "ground": (lambda s: s.light[:, 3], *uniform(0.3, 0.55)),
+    "pad": (lambda s: s.light[:, 4], *uniform(0.12, 0.3)),
+    "paint": (lambda s: s.light[:, 5], *uniform(0.75, 1)),
+    "log of wave length": (
+        lambda s: np.log(2 * np.pi / np.hypot(*s.waves[:, 0, :2].T)),
+        *uniform(0, math.log(60)),
+    ),
+    "direction of waves": (lambda s: np.arctan2(*s.waves[:, 1, 1::-1].T), *uniform(-np.pi, np.pi)),
+    "phase": (lambda s: s.waves[:, 2, 2], *uniform(0, 2 * np.pi)),
+    "size of waves": (lambda s: s.waves[:, 3, 3], *uniform(0.01, 0.03)),
+    "distance of boxes": (lambda s: np.hypot(*s.boxes[:, 0, :2].T), *uniform(14, 50)),
+    "direction of boxes": (lambda s: np.arctan2(*s.boxes[:, 1, 1::-1].T), *uniform(-np.pi, np.pi)),
+    "half length": (lambda s: s.boxes[:, 2, 2], *uniform(0.7, 7)),
+    "half width": (lambda s: s.boxes[:, 3, 3], *uniform(0.7, 3)),
+    "turn": (lambda s: s.boxes[:, 4, 4], *uniform(0, np.pi)),
+    "grey of boxes": (lambda s: s.boxes[:, 0, 5], *uniform(0, 1)),
+    "speed": (lambda s: s.boxes[:, 1, 6], *uniform(-3, 3)),
+    "distance of the decoy": (lambda s: np.hypot(*s.decoy[:, :2].T), *uniform(30, 60)),
+    "radius of the decoy": (lambda s: s.decoy[:, 2], *uniform(3, 14)),
+    "grey of the decoy": (lambda s: s.decoy[:, 3], *uniform(0.1, 0.9)),
+    **{
+        name: (lambda s, k=k: s.pose[:, k], "norm", (0, size))
+        for k, (name, size) in enumerate(
+            zip(
+                ("pitch", "roll", "right", "ahead", "heading", "blur", "shake", "dust"),
+                (0.05, 0.05, 0.05, 0.05, 0.6, 0.015, 0.15, 0.3),
+                strict=True,
+            )
+        )
+    },
+}
+
+
+@pytest.mark.parametrize("name", DRAWN)
+def test_scenes_are_drawn_from_the_stated_distributions(name):
+    """By Kolmogorov and Smirnov: a right draw fails for one seed in 10^6, and these are fixed."""
+    column, law, arguments = DRAWN[name]
+    scene = draw_scenes(3000, generator(11))
+    assert kstest(column(scene), law, arguments).pvalue > 1e-6
+    if law == "norm":
+        pose = scene._replace(pose=draw_pose(3000, generator(12)))
+        assert kstest(column(pose), law, arguments).pvalue > 1e-6
+
+
+def test_views_are_spread_evenly_over_the_logarithm_of_distance():
+    _, h, pitch = draw_views(3000, generator(13))
+    log = math.log(3), math.log(140 / 3)  # 3 to 140 ft between camera and ground
+    assert kstest(np.log(h + 5), "uniform", log).pvalue > 1e-6
+    assert kstest(pitch, "norm", (0, 0.08)).pvalue > 1e-6
+    assert abs(np.corrcoef(h, pitch)[0, 1]) < 6 / math.sqrt(3000)
+
+
+def ray_traced(scene, i, h, side, pitch, seconds):
+    """Picture i of a scene with hard edges, one ray a pixel: no blur, no shake and no noise."""
+    tilt, roll, right, ahead, heading, _, _, dust = scene.pose[i]
+    bright, across, along, ground, asphalt, paint = scene.light[i]
+    nod, turn = (Rotation.from_euler(*angle) for angle in (("x", tilt + pitch), ("z", heading)))
+    picture = np.empty((side, side))
+    for row, column in np.ndindex(side, side):
+        u, v = (2 * column + 1) / side - 1, 1 - (2 * row + 1) / side  # to the right, upwards
+        ray = nod.apply([0.75 * u + roll, 0.75 * v, -1])
+        x, y, _ = turn.apply((h + 5) * (ray / -ray[2] + [right, ahead, 0]))
+        texture = sum(size * math.sin(a * x + b * y + c) for a, b, c, size in scene.waves[i])
+        grey, X, Y, r = ground + texture, abs(x), abs(y), math.hypot(x, y)
+        cx, cy, radius, tone = scene.decoy[i]
+        if math.hypot(x - cx, y - cy) < radius:
+            grey = tone
+        if max(X, Y) < 33.6:  # the apron; a pad of 14 ft, with a ring and an H
+            grey = (ground + paint) / 2 + texture
+        if r < 14:
+            grey = asphalt + texture / 2
+        ring, leg = abs(r - 12.32) < 0.98, abs(X - 3.64) < 0.98 and Y < 6.3
+        if ring or leg or (X < 3.64 and Y < 0.98):
+            grey = paint
+        for cx, cy, a, b, angle, tone, speed in scene.boxes[i]:
+            c, s = math.cos(angle), math.sin(angle)
+            px, py = x - cx - seconds * speed * c, y - cy - seconds * speed * s
+            for dx, dy, colour in ((px - 1, py + 1, grey / 2), (px, py, tone)):  # shadow, thing
+                if abs(dx * c + dy * s) < a and abs(dy * c - dx * s) < b:
+                    grey = colour
+        grey += math.exp(-h / 8) * min(abs(dust), 0.5) * (0.6 - grey)
+        picture[row, column] = grey * bright * (1 + across * u + along * v)
+    return np.clip(picture, 0, 1)
+
+
+def test_pictures_are_those_of_a_ray_tracer_but_for_edges_and_noise():
+    side, h, pitch, seconds = 64, np.array([4.0, 25, 70, 120]), [0.1, -0.15, 0.05, 0], 2.0
+    scene = draw_scenes(4, generator(6))
+    scene.waves[..., :2] /= 4 * np.hypot(*scene.waves[..., :2].T).T[..., None]  # 25 ft: no fading
+    scene.waves[..., 3] = 0.05
+    scene.pose[:, 5:7] = 0
+    found = photograph(scene, h, side, generator(7), pitch=pitch, seconds=seconds)
+    for i in range(4):
+        traced = ray_traced(scene, i, h[i], side, pitch[i], seconds)
+        flat = maximum_filter(traced, 3) - minimum_filter(traced, 3) < 0.1  # no soft edge
+        noise = (found[i] - traced)[flat]  # of the sensor, with deviation 0.02
+        assert len(noise) > 0.4 * side**2 and np.mean(abs(noise) > 0.1) < 0.005
+        assert abs(noise.mean()) < 0.002 and noise.std() == pytest.approx(0.02, rel=0.05)
+
+
 def test_the_pad_measures_focal_length_times_size_over_distance():
     """Apron and pad are painted white, the ground is black, so brightness is a measured area."""
     h, side = np.array([60.0, 80, 100, 130]), 400
@@ -166,6 +277,19 @@ def test_parameters_and_operations_are_those_of_the_arrays(size):
     assert network.multiply_adds == plain + p2**2 * 2 * filters * width + width
 
 
+@pytest.mark.parametrize("size", ARCHITECTURE)
+def test_new_weights_are_normal_with_variance_two_over_inputs(size):
+    side, filters, width = size
+    S = ((side - 4) // 2 + 1 - 3) // 2 + 1
+    inputs = [16, 9 * filters, S * S * 2 * filters, width]
+    layers = new_network(size, generator(4)).layers
+    assert [layer.window for layer in layers] == [4, 3, S, 1]
+    for layer, n, scale in zip(layers, inputs, (1, 1, 1, 0.1), strict=True):
+        assert layer.weight.shape == (n, len(layer.bias)) and not layer.bias.any()
+        z = layer.weight.ravel() / (scale * math.sqrt(2 / n))
+        assert kstest(z, "norm").pvalue > 1e-6 and layer.weight.dtype == np.float32
+
+
 def test_larger_models_cost_more():
     networks = [new_network(size, generator()) for size in ARCHITECTURE]
     assert np.all(np.diff([n.parameters for n in networks]) > 0)
@@ -192,6 +316,25 @@ def test_forward_equals_plain_loops():
     pictures = rng.random((4, 17, 17)).astype(np.float32)
     expected = [plain_output(network, picture) for picture in pictures]
     np.testing.assert_allclose(forward(network.layers, pictures)[0], expected, atol=1e-5)
+
+
+#: Of log distances spread evenly from 3 to 140 ft: their mean and their standard deviation.
+MIDDLE, WIDTH = math.log(3 * 140) / 2, math.log(140 / 3) / math.sqrt(12)
+
+
+def plain_altitudes(network, pictures):
+    """What a network makes of pictures, in ft, by loops."""
+    logs = [MIDDLE + WIDTH * plain_output(network, picture) for picture in pictures]
+    return np.array([min(max(math.exp(log) - 5, -2), 135) for log in logs])
+
+
+def test_altitudes_are_those_of_plain_loops():
+    network, rng = new_network((17, 3, 5), generator(2)), generator(3)
+    network.layers[-1].weight[...] *= 20  # so that some estimates leave the range
+    pictures = rng.random((40, 17, 17)).astype(np.float32)
+    found = network.altitude(pictures)
+    np.testing.assert_allclose(found, plain_altitudes(network, pictures), rtol=1e-4)
+    assert 0 < np.mean((found > LOWEST) & (found < HIGHEST)) < 1
 
 
 def test_gradients_equal_finite_differences():
@@ -246,6 +389,50 @@ def test_the_last_layer_alone_learns_like_least_squares():
     )
 
 
+def adam(network, picture, altitude, epochs, batches):
+    """Kingma and Ba's algorithm 1 in double precision, slopes by differences of `plain_output`."""
+    layers = [type(x)(x[0].astype(float), x[1].astype(float), x.window) for x in network.layers]
+    arrays = [array for layer in layers for array in layer[:2]]
+    goal, losses = (math.log(altitude + 5) - MIDDLE) / WIDTH, []
+
+    def loss():
+        return (plain_output(network._replace(layers=layers), picture) - goal) ** 2
+
+    def slope(array, place):
+        kept, found = array[place], []
+        for array[place] in (kept + 1e-6, kept - 1e-6):
+            found.append(loss())
+        array[place] = kept
+        return (found[0] - found[1]) / 2e-6
+
+    places = [(array, place) for array in arrays for place in np.ndindex(array.shape)]
+    m, v = np.zeros((2, len(places)))
+    for t in range(1, epochs * batches + 1):
+        losses.append(loss())
+        g = np.array([slope(*place) for place in places])
+        m, v = 0.9 * m + 0.1 * g, 0.999 * v + 0.001 * g**2
+        cosine = (1 + math.cos(math.pi * (t - 1) / (epochs * batches))) / 2
+        move = 0.003 * min(t / batches, cosine) * (m / (1 - 0.9**t))
+        move /= np.sqrt(v / (1 - 0.999**t)) + 1e-8
+        for (array, place), step in zip(places, move, strict=True):
+            array[place] -= step
+    return arrays, np.mean(np.reshape(losses, (epochs, batches)), axis=1)
+
+
+def test_training_is_adam_by_differences():
+    # One picture forty times, the same however it is turned: two batches an epoch, all alike.
+    network, side = new_network((8, 2, 3), generator(1)), np.arange(8)
+    ring = np.maximum.outer(abs(side - 3.5), abs(side - 3.5)).astype(int)
+    picture = generator(3).random(4)[ring].astype(np.float32)
+    for layer in network.layers:
+        layer.bias[...] = 0.1
+    arrays, losses = adam(network, picture, 50.0, 3, 2)
+    found = train_network(network, np.tile(picture, (40, 1, 1)), np.full(40, 50.0), 3, generator(2))
+    np.testing.assert_allclose(found, losses, rtol=1e-4)
+    for ours, theirs in zip((a for x in network.layers for a in x[:2]), arrays, strict=True):
+        np.testing.assert_allclose(ours, theirs, atol=2e-5)
+
+
 def test_training_lowers_the_loss_and_beats_the_mean():
     scene, h, pitch = draw_views(400, generator(7))
     network = new_network((16, 3, 12), generator(8))
@@ -288,6 +475,25 @@ def test_models_repeat_and_are_measured_on_pictures_that_they_never_saw(trained,
     assert trained.losses.shape == (W, SMALL["epochs"])
 
 
+def test_residuals_are_what_loops_see_in_pictures_that_were_held_out(monkeypatch):
+    taken = []
+
+    def keep(scene, altitude, *arguments, **options):
+        taken.append((photograph(scene, altitude, *arguments, **options), altitude))
+        return taken[-1][0]
+
+    monkeypatch.setattr(perception, "photograph", keep)
+    models = train_models(generator(1), **SMALL)
+    fresh = measure_models(models.networks, 9, generator(2))
+    for measured, first, n in ((models.residuals, SMALL["training"], 40), (fresh, 0, 9)):
+        for w, network in enumerate(models.networks):
+            pictures, h = (part[first:] for part in taken.pop(0))
+            rows = slice(w * n, w * n + n)
+            np.testing.assert_array_equal(measured.altitude[rows], h)
+            expected = plain_altitudes(network, pictures) - h
+            np.testing.assert_allclose(measured.residual[rows], expected, atol=1e-3)
+
+
 def test_fresh_measurements_are_those_of_the_models(trained):
     fresh = measure_models(trained.networks, 9, generator(3))
     rng = generator(3)
@@ -322,6 +528,29 @@ def test_models_survive_a_file(trained, tmp_path):
         np.testing.assert_array_equal(
             getattr(trained.residuals, field), getattr(back.residuals, field)
         )
+
+
+def test_the_file_is_a_plain_npz_of_named_arrays(trained, tmp_path):
+    table = dict(np.load(io.BytesIO(pack_models(trained, "key"))))
+    assert str(table.pop("key")) == "key"
+    np.testing.assert_array_equal(table.pop("altitude"), trained.residuals.altitude)
+    np.testing.assert_array_equal(table.pop("residual"), trained.residuals.residual)
+    np.testing.assert_array_equal(table.pop("losses"), trained.losses)
+    assert len(table) == 3 * 4 * 2
+    for name, array in table.items():
+        w, layer, part = map(int, name.split("."))
+        np.testing.assert_array_equal(array, trained.networks[w].layers[layer][part])
+    shapes = {"0.0": (16, 2), "0.1": (2,), "1.0": (18, 4), "1.1": (4,)}
+    shapes |= {"2.0": (4, 3), "2.1": (3,), "3.0": (3, 1), "3.1": (1,)}  # one window of 1^2 * 4
+    arrays = {f"0.{k}": np.arange(np.prod(s)).reshape(s) / 8 for k, s in shapes.items()}
+    arrays |= {"losses": [[2.0, 1.0]], "altitude": [3.0, 4.0], "residual": [0.5, -0.5]}
+    np.savez(tmp_path / "by_hand.npz", key=np.array("k"), **arrays)
+    back = load_models(tmp_path / "by_hand.npz", "k", [(8, 2, 3)])
+    for k in shapes:
+        layer, part = map(int, k.split("."))
+        np.testing.assert_array_equal(back.networks[0].layers[layer][part], arrays[f"0.{k}"])
+    assert back.losses.tolist() == [[2, 1]] and back.residuals.names == ("b0",)
+    assert back.residuals.altitude.tolist() == [3, 4] and back.residuals.residual[1] == -0.5
 
 
 def repacked(content, **changes):
@@ -396,19 +625,18 @@ def some_residuals(rng, size=60):
 
 def test_bootstrapped_errors_are_residuals_of_their_bin_with_their_moments():
     residuals, h, bins = some_residuals(generator(1)), np.array([9.0, 4.0, 0.5, 4.5]), [0, 3, 6, 10]
-    suite = fit_suite(residuals, h, [1, 1], bins=bins)
-    trials = 40_000
+    trials, mean, spread = 40_000, np.empty((4, 2, 1)), np.empty((4, 2, 1))
     errors = bootstrap_errors(residuals, h, trials, generator(2), bins=bins)
     assert errors.shape == (trials, 4, 2, 1)
     for t in range(4):
         b = np.digitize(h[t], bins)
         for w in range(2):
             mine = (np.digitize(residuals.altitude, bins) == b) & (residuals.model == w)
-            assert set(errors[:, t, w, 0]) == set(residuals.residual[mine])
-    n = suite.sample_size[..., None]
-    spread = suite.variance * (n - 1) / n
-    assert np.all(np.abs(errors.mean(0) - suite.mean) <= 6 * np.sqrt(spread / trials))
-    fourth = ((errors - suite.mean) ** 4).mean(0)
+            r = residuals.residual[mine]
+            assert set(errors[:, t, w, 0]) == set(r)
+            mean[t, w], spread[t, w] = sum(r) / len(r), sum((r - sum(r) / len(r)) ** 2) / len(r)
+    assert np.all(np.abs(errors.mean(0) - mean) <= 6 * np.sqrt(spread / trials))
+    fourth = ((errors - mean) ** 4).mean(0)
     assert np.all(np.abs(errors.var(0) - spread) <= 6 * np.sqrt(fourth / trials))
     pairs = np.corrcoef(errors.reshape(trials, -1), rowvar=False) - np.eye(8)
     assert np.abs(pairs).max() <= 6 / math.sqrt(trials - 1)
@@ -452,8 +680,9 @@ def test_guards_fade_with_many_residuals_and_have_the_textbook_factors():
         suite = PerceptionSuite(["a"], one, 4 * one, [1], [[n]], np.sqrt(4 / n) * one)
         return guard_suite(suite, 0.9)
 
-    assert guarded(10).mean.item() == pytest.approx(1 + special.stdtrit(9, 0.9) * math.sqrt(0.4))
-    assert guarded(10).variance.item() == pytest.approx(4 * 9 / (2 * special.gammaincinv(4.5, 0.1)))
+    # From printed tables, 9 degrees of freedom: t at 0.9, chi-square at 0.1.
+    assert guarded(10).mean.item() == pytest.approx(1 + 1.383029 * math.sqrt(0.4), rel=1e-6)
+    assert guarded(10).variance.item() == pytest.approx(4 * 9 / 4.168159, rel=1e-6)
     assert guarded(10**7).mean.item() == pytest.approx(1, abs=2e-3)
     assert guarded(10**7).variance.item() == pytest.approx(4, rel=2e-3)
 

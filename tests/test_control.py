@@ -17,6 +17,7 @@ from strategies import (
     dense_plan,
     plain_cost,
     plain_states,
+    replanned,
     stacked,
     tasks,
     weight,
@@ -277,15 +278,6 @@ def test_the_states_of_every_controller_obey_the_dynamics(case, information):
     states, controls = run_controller(task, x0, s, s + errors, information)
     assert (states[0] == x0).all() and controls.shape == (task.horizon, task.m)
     assert close(states, plain_states(task, x0, s, controls), x0, controls, s)
-
-
-def replanned(task, x0, s, forecast, perceived=lambda t, x: x):
-    """Controls of a robot that plans anew at each step t, from what it then believes."""
-    x, controls = np.array(x0), np.zeros((task.horizon, task.m))
-    for t in range(task.horizon):
-        controls[t] = dense_plan(task, perceived(t, x), forecast(t), t)[0]
-        x = at(task.A, t) @ x + at(task.B, t) @ controls[t] + at(task.C, t) @ s[t]
-    return controls
 
 
 @given(cases())

@@ -8,6 +8,7 @@ input be modified.  What is fine after all in an argument stands in its `valid`.
 
 import dataclasses
 import inspect
+import re
 import traceback
 from collections.abc import Callable
 from functools import cache
@@ -1037,9 +1038,15 @@ def by(error, *places):
     return any(place in where for place in places)
 
 
+#: The axes that messages name: those of the symbol table, and what else docstrings explain.
+AXES = {"H", "W", "p", "n", "m", "pH", "N", "side", "trials", "edges", "or"}
+
+
 def check_line(error, opening):
     """A single, short line that opens with one of these, raised by our modules."""
     message = str(error)
+    axes = re.findall(r"[a-zA-Z]+", "".join(re.findall(r"expected shape \((.*?)\)", message)))
+    assert set(axes) <= AXES, message
     assert by(error, *(module.__file__ for module in MODULES)), message
     assert "\n" not in message and len(message) < 250 and message.startswith(opening), message
 
@@ -1151,6 +1158,12 @@ def test_entries_far_above_their_diagonal_are_indefinite():
         lambda: ms.ControlTask(np.eye(2), np.eye(2), np.eye(2), Q, np.eye(2), 2),
         "Q: expected a positive semidefinite matrix, found smallest eigenvalue -inf",
     )
+
+
+def test_a_value_is_shown_on_one_line_of_at_most_80_characters():
+    assert ms.shown(np.zeros((2, 2))) == "array([[0., 0.], [0., 0.]])"
+    assert ms.shown("x" * 78) == "'" + "x" * 78 + "'"
+    assert ms.shown("x" * 79) == "'" + "x" * 76 + "..."
 
 
 def test_large_integers_keep_their_last_digit():

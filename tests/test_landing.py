@@ -1,6 +1,9 @@
 """The landing experiments, held to the published numbers, to first principles and to roll-outs."""
 
 import json
+import math
+import re
+import statistics
 import subprocess
 import sys
 from itertools import product
@@ -24,7 +27,9 @@ from modelselect import (
     run_controller,
     solve,
 )
-from perception import sample_errors
+from perception import EFFICIENTNET, PerceptionSuite, sample_errors
+
+from strategies import dense_flight, plain_cost
 
 POLICIES = [
     *("Oracle", "Clairvoyant", "Optimal", "Best Single"),
@@ -82,6 +87,16 @@ def test_textbook_dynamics_are_ellert_and_merriams_held_exactly(horizon):
     np.testing.assert_allclose(aircraft.task.B, held[:4, 4:], rtol=1e-9, atol=1e-12)
 
 
+def test_weights_and_starts_are_those_of_the_sources():
+    published, textbook = (preset(name).task for name in ("published", "textbook"))
+    for task, Q, R in ((published, [1e8, 1, 1e8, 1], 1), (textbook, [1, 1, 100, 100], 10)):
+        assert task.Q.tolist() == task.Q_final.tolist() == np.diag(Q).tolist()
+        assert task.R.tolist() == [[R]] and task.horizon == 150
+    assert textbook.C.ravel().tolist() == [1, 0, 0, 0]
+    assert preset("published").x0.tolist() == [1000, 2, 2, 0.2]
+    assert preset("textbook").x0.tolist() == [5, 0, 0, 0]
+
+
 def test_textbook_flies_down_the_glide_path():
     path = preset("textbook").path
     seconds = np.linspace(0, 20, 151)
@@ -111,6 +126,14 @@ def test_textbook_price_follows_the_rule_whatever_the_weights(information):
     np.testing.assert_allclose(runs[0].suite.cost, upsilon * np.arange(8), rtol=1e-12)
     over = run_experiment(Settings("simulated", "textbook", information, 20, 1, upsilon=3.5))
     assert over.settings.upsilon == 3.5 and over.suite.cost[7] == 24.5
+
+
+def test_the_price_of_two_models_by_hand():
+    # All Small, errors 1 and 2: 1 + 2 * 2 + 2 * 4 = 13, and variances 0.5 + 2 * 2: 17.5 in all.
+    mean, variance = [[[1], [0]], [[2], [0]]], [[[0.5], [9]], [[2], [9]]]
+    suite = PerceptionSuite(["small", "large"], mean, variance, [0, 1])
+    found = landing.cost_scale(np.array([[1.0, 1], [1, 2]]), suite)
+    assert found == pytest.approx(0.2 * 0.8 * 17.5 / (0.2 * 1 * 2), rel=1e-14)
 
 
 # ----------------------------------------------------------------------- the published experiment
@@ -244,6 +267,24 @@ def test_flown_costs_agree_with_the_problem(name, information, horizon):
         np.testing.assert_allclose(reward, -0.8 * control - 0.2 * perception)
 
 
+@pytest.mark.parametrize("information", INFORMATION)
+@pytest.mark.parametrize("name", PRESETS)
+def test_trials_are_those_of_a_robot_that_plans_anew_by_dense_algebra(name, information):
+    aircraft, rng = preset(name, 5), np.random.default_rng(2)
+    s = aircraft.draw_inputs(rng, 3)
+    errors, own = rng.normal(size=(3, 5, 8, 1)), rng.integers(8, size=(3, 5))
+    for choices in (None, own[0], own):
+        altitude, cost = fly(aircraft, information, s, errors, choices)
+        for k in range(3):
+            c = None if choices is None else choices[k] if choices.ndim == 2 else choices
+            e = 0 * s[k] if c is None else np.array([errors[k, t, c[t]] for t in range(5)])
+            x0, prior = aircraft.x0, aircraft.prior_mean
+            x, u = dense_flight(aircraft.task, x0, s[k], s[k] + e, information, prior)
+            expected = [height + state[0] for height, state in zip(aircraft.path, x, strict=True)]
+            np.testing.assert_allclose(altitude[k], expected, rtol=1e-9)
+            assert cost[k] == pytest.approx(plain_cost(aircraft.task, x, u), rel=1e-9)
+
+
 @pytest.mark.parametrize("information", ["open_loop", "preview"])
 @pytest.mark.parametrize("name", PRESETS)
 def test_clairvoyant_is_best_in_every_single_trial(name, information):
@@ -362,9 +403,10 @@ def test_no_schedule_is_better_in_both_than_the_front():
     run = run_experiment(Settings(preset="textbook", horizon=5, trials=1))
     schedules = np.array(list(product(range(8), repeat=5)))
     C, P = run.problem.control_term(schedules), run.problem.perception_term(schedules)
-    for optimum in pareto(run.problem, 10)[1]:
+    for r, optimum in zip(*pareto(run.problem, 10), strict=True):
         c, p = (f(optimum.choices) for f in (run.problem.control_term, run.problem.perception_term))
         assert not np.any((C < c * (1 - 1e-9)) & (P <= p))
+        assert r * c + p <= (r * C + P).min() * (1 + 1e-9)
 
 
 def test_nothing_to_trade_makes_a_front_of_one_point():
@@ -383,6 +425,35 @@ def test_intervals_are_students(small):
     expected = t * values.std(ddof=1) / np.sqrt(8)
     assert landing.half_width(values) == pytest.approx(expected, rel=1e-9)
     assert np.isnan(landing.half_width(values[:1]))
+
+
+def test_means_are_sums_over_trials(small):
+    for policy, found in small.means().items():
+        rows = [getattr(small.flights[policy], q) for q in landing.QUANTITIES]
+        np.testing.assert_allclose(found, [math.fsum(row) / 8 for row in rows], rtol=1e-12)
+
+
+def test_report_prints_means_intervals_and_percentages(small):
+    text = report(small)
+    unit = float(re.search(r"in units of (\S+);", text)[1])
+    best, mean = small.flights["Optimal"], {}
+    for policy, flights in small.flights.items():
+        columns = [*flights[2:], best.reward - flights.reward]
+        mean[policy] = [statistics.fmean(column) for column in columns]
+        row = re.search(rf"^{policy} .*", text, re.M)[0][12:]
+        cells = re.findall(r"(-?[\d.]+)(?: ± ([\d.]+))?", row)
+        for column, expected, (printed, interval) in zip(columns, mean[policy], cells, strict=True):
+            half = 2.364624 * statistics.stdev(column) / 8**0.5
+            assert float(printed) == pytest.approx(expected / unit, abs=6e-4)
+            assert float(interval or 0) == pytest.approx(half / unit, rel=1e-6, abs=6e-4)
+    found = re.findall(r"^(\w+ ?\w*), \((.*) - (.*)\) / \|(.*)\| +(\S+)%", text, re.M)
+    assert len(found) == 6  # beside the log there are four more
+    for quantity, new, old, base, percent in found:
+        q = ["control cost", "perception cost", "reward"].index(quantity)
+        change = 100 * (mean[new][q] - mean[old][q]) / abs(mean[base][q])
+        assert old == base and float(percent) == pytest.approx(change, abs=0.06)
+    steps = [small.optimal.choices.tolist().count(w) for w in range(8)]
+    assert "Its steps: " + ", ".join(f"b{w} {n}" for w, n in enumerate(steps)) in text
 
 
 def test_summary_has_the_promised_keys(small):
@@ -473,6 +544,52 @@ def test_cost_and_reward_figures_show_the_means(small):
                 assert abs(line.get_xdata()[0]) == pytest.approx(abs(row[x]))
                 assert y is None or line.get_ydata()[0] == pytest.approx(row[y])
         plt.close(figure)
+
+
+def test_pareto_figure_shows_the_front_and_the_policies_in_expectation(small):
+    problem, optima = small.problem, pareto(small.problem, 5)[1]
+    figure = landing.plot_pareto(small, optima)
+    front, *dots = figure.axes[0].lines
+
+    def costs(c):
+        e, steps = problem.mean[range(12), c, 0], range(12)
+        noise = sum(problem.psi[t, t] * problem.variance[t, c[t], 0] for t in steps)
+        paid = sum(problem.model_cost[w] for w in c)
+        return paid, noise + sum(e[t] * problem.psi[t, k] * e[k] for t in steps for k in steps)
+
+    expected = [costs(optimum.choices) for optimum in optima]
+    np.testing.assert_allclose(front.get_xydata(), expected, rtol=1e-9)
+    assert [dot.get_label() for dot in dots] == FEASIBLE
+    for dot in dots:
+        expected = [costs(small.flights[dot.get_label()].choices)]
+        np.testing.assert_allclose(dot.get_xydata(), expected, rtol=1e-9)
+    plt.close(figure)
+
+
+def test_landing_figure_shows_mean_and_band_over_seconds(small):
+    figure = landing.plot_landing(small)
+    time = [t * small.landing.dt for t in range(13)]
+    for axes, (policy, flights) in zip(figure.axes, small.flights.items(), strict=True):
+        assert axes.get_title() == policy
+        mean = [math.fsum(column) / 8 for column in flights.altitude.T]
+        np.testing.assert_allclose(axes.lines[0].get_xydata(), np.transpose([time, mean]))
+        # Of 8 sorted trials the 5% and 95% quantiles lie 0.35 of a step from either end.
+        low, second, *_, seventh, high = np.sort(flights.altitude, axis=0)
+        edges = [low + 0.35 * (second - low), high - 0.35 * (high - seventh)]
+        drawn = axes.collections[0].get_paths()[0].vertices
+        for t in range(13):
+            here = drawn[np.isclose(drawn[:, 0], time[t]), 1]
+            assert [here.min(), here.max()] == pytest.approx([edge[t] for edge in edges])
+    plt.close(figure)
+
+
+def test_efficientnet_figure_shows_the_table():
+    figure = landing.plot_efficientnet()
+    for axes, x, unit in zip(figure.axes, EFFICIENTNET[1:3][::-1], (1e9, 1e6), strict=True):
+        points = np.transpose([x / unit, EFFICIENTNET.top1])
+        np.testing.assert_allclose(axes.lines[0].get_xydata(), points)
+        assert [note.get_text() for note in axes.texts] == list(EFFICIENTNET.names)
+    plt.close(figure)
 
 
 def test_psi_figure_has_one_scale_and_four_patterns(small):
@@ -617,6 +734,13 @@ def test_bad_input_is_one_line_and_status_2_and_leaves_nothing(
     assert printed.err.startswith("landing.py: error: ") and printed.err.count("\n") == 1
     assert words in printed.err
     assert list(folder.iterdir()) == [] and file.read_text() == "kept"
+
+
+def test_a_file_is_written_with_its_folder_and_nothing_else(tmp_path):
+    path = tmp_path / "new" / "file"
+    for content in (b"one", b"", bytes(range(256))):
+        landing.write_atomically(path, content)
+        assert path.read_bytes() == content and list(path.parent.iterdir()) == [path]
 
 
 def test_a_failed_write_leaves_the_old_file(tmp_path, monkeypatch):

@@ -13,15 +13,25 @@ from modelselect import (
     ControlTask,
     Schedule,
     SelectionProblem,
+    as_numbers,
+    check_array,
     check_certificate,
+    check_choices,
+    check_count,
+    check_information,
+    check_number,
+    check_semidefinite,
     control_cost,
     from_one_hot,
+    is_separable,
     one_hot,
     plan,
     preview_regret,
     psi,
     reference_bound,
     run_controller,
+    shown,
+    stepwise_cost,
 )
 
 from strategies import SEEDS, cases, every_schedule, gram, idle_size, problems, sign_patterns
@@ -122,6 +132,74 @@ def test_the_total_is_alpha_control_plus_beta_perception(problem, data):
     control, perception = problem.control_term(choices), problem.perception_term(choices)
     expected = problem.alpha * control + problem.beta * perception
     assert abs(problem.total_cost(choices) - expected) <= ROUNDING * total_size(problem)
+
+
+def alone(problem, t, w):
+    """(alpha E[e'Psi_tt e], beta kappa) of model w at step t, the other steps left out."""
+    p = problem.mean.shape[2]
+    mu, Sigma, control = problem.mean[t, w], covariance(problem, t, w), 0.0
+    for r, q in product(range(p), repeat=2):
+        control += problem.psi[t * p + r, t * p + q] * (mu[r] * mu[q] + Sigma[r, q])
+    price = kappa(problem, t, w)
+    return problem.alpha * control, np.inf if np.isinf(price) else problem.beta * price
+
+
+@given(problems(), st.data())
+def test_the_total_is_the_sum_over_single_steps_and_over_pairs_of_steps(problem, data):
+    choices = draw_choices(data, problem)
+    H, _, p = problem.mean.shape
+    expected = sum(sum(alone(problem, t, w)) for t, w in enumerate(choices))
+    for t, k in product(range(H), repeat=2):
+        for r, q in product(range(p), repeat=2):
+            pair = problem.mean[t, choices[t], r] * problem.mean[k, choices[k], q]
+            expected += (t != k) * problem.alpha * pair * problem.psi[t * p + r, k * p + q]
+    found = problem.total_cost(choices)
+    assert found == expected or abs(found - expected) <= ROUNDING * total_size(problem)
+
+
+@given(problems())
+def test_quadratic_blocks_spread_and_stepwise_cost_are_those_of_loops(problem):
+    H, W, p = problem.mean.shape
+    for i, j in product(range(H * p), repeat=2):
+        assert problem.quadratic[i, j] == problem.alpha * problem.psi[i, j]
+    for t, r, q in product(range(H), range(p), range(p)):
+        assert problem.blocks[t, r, q] == problem.psi[t * p + r, t * p + q]
+    for t, w in product(range(H), range(W)):
+        Sigma = covariance(problem, t, w)
+        expected = sum(
+            problem.psi[t * p + r, t * p + q] * Sigma[q, r] for r, q in product(range(p), repeat=2)
+        )
+        assert abs(problem.spread[t, w] - expected) <= ROUNDING * control_size(problem)
+        found, expected = stepwise_cost(problem)[t, w], sum(alone(problem, t, w))
+        assert found == expected or abs(found - expected) <= ROUNDING * total_size(problem)
+
+
+@given(problems())
+def test_rounding_is_one_unit_in_the_last_place_of_what_greedy_choices_cost(problem):
+    H, W, _ = problem.mean.shape
+    terms = sum(min(sum(alone(problem, t, w)) for w in range(W)) for t in range(H))
+    assert abs(problem.rounding / 2**-52 - terms) <= 1e-9 * total_size(problem)
+
+
+def test_rounding_counts_income_by_its_size():
+    problem = SelectionProblem([[3]], [[[1]]], [[[0]]], [-5])  # 3 to control, 5 earned
+    assert problem.rounding == 8 * 2**-52
+
+
+@given(problems())
+def test_separable_is_where_no_two_mean_errors_meet_at_different_steps(problem):
+    H, W, p = problem.mean.shape
+    meets = any(
+        problem.alpha
+        and problem.mean[t, w, r]
+        and problem.mean[k, v, q]
+        and problem.psi[t * p + r, k * p + q]
+        for t, k in product(range(H), repeat=2)
+        for w, v in product(range(W), repeat=2)
+        for r, q in product(range(p), repeat=2)
+        if t != k
+    )
+    assert is_separable(problem) == (not meets)
 
 
 @given(problems(unavailable=True))
@@ -421,6 +499,11 @@ def test_a_small_problem_and_its_bound_by_hand():
     bound, reduced = reference_bound(problem, [1, 0])
     # G = [[2 * 1 * 1, 1], [4, 0]]: LB = 1 + 0 - 1.
     assert bound == 0 and reduced.tolist() == [[1, 0], [4, 0]]
+
+
+def test_a_certificate_by_hand_is_accepted():
+    schedule = Schedule(np.array([0, 1]), 1.0, 0.25, 0.0, np.array([1.0, 0]), "by hand")
+    assert check_certificate(a_problem(), schedule) == 0  # the two numbers of the test above
 
 
 @pytest.mark.parametrize(
@@ -799,6 +882,45 @@ def test_a_rank_one_r_is_singular_even_where_rounding_makes_its_eigenvalue_posit
     v = np.random.default_rng(seed).normal(size=2)
     message = "R: expected a positive definite matrix"
     refused(lambda: called("ControlTask", R=np.outer(v, v)), message)
+
+
+def determinant(M):
+    """By Laplace, in whole numbers."""
+    if not M:
+        return 1
+    minors = ([row[:j] + row[j + 1 :] for row in M[1:]] for j in range(len(M)))
+    return sum((-1) ** j * M[0][j] * determinant(minor) for j, minor in enumerate(minors))
+
+
+@given(st.integers(1, 3), SEEDS, st.booleans())
+def test_semidefinite_is_what_sylvesters_minors_say_in_whole_numbers(k, seed, definite):
+    F = np.random.default_rng(seed).integers(-2, 3, (k, k))
+    M = (F + F.T if seed % 2 else F @ F.T).tolist()
+    subsets = [[i for i in range(k) if bits >> i & 1] for bits in range(1, 2**k)]
+    minors = [determinant([[M[i][j] for j in kept] for i in kept]) for kept in subsets]
+    right = min(minors) > 0 if definite else min(minors) >= 0
+    try:
+        check_semidefinite("M", np.array(M, dtype=float), definite=definite)
+    except ValueError as error:
+        assert not right and str(error).startswith("M: expected a positive ")
+    else:
+        assert right
+
+
+def test_the_checkers_by_hand():
+    assert as_numbers("x", [True, 2]).tolist() == [1, 2]
+    assert as_numbers("x", np.int8(7)).dtype == np.int8  # not copied, not converted
+    found = check_array("x", [[1, 2]], "... a b", (None, 2), finite=False)
+    assert found.dtype == np.float64 and found.tolist() == [[1, 2]] and not found.flags.writeable
+    assert check_array("x", np.inf, "", (), finite=False) == np.inf
+    assert check_number("x", np.int8(-3), minimum=-3) == -3.0
+    assert check_count("x", 4.0) == 4 and check_count("x", 0, minimum=0) == 0
+    assert check_count("x", 10**8, each=10) == 10**8  # 10^9 numbers are the most
+    refused(lambda: check_count("x", 10**8 + 1, each=10), "x: expected at most 100000000")
+    assert check_choices([[0, 2], [1, 1]], 2, 3).dtype == np.intp
+    assert all(check_information(name) is None for name in ("open_loop", "causal"))
+    assert shown(np.eye(2)) == "array([[1., 0.], [0., 1.]])"  # on one line
+    assert shown("x" * 78) == f"'{'x' * 78}'" and shown("x" * 79) == f"'{'x' * 76}..."
 
 
 @pytest.mark.parametrize("unit", [1e-300, 1e-8, 1.0, 1e16, 1e290])

@@ -20,7 +20,17 @@ from modelselect import (
     run_controller,
 )
 
-from strategies import SEEDS, at, cases, idle_size, sign_patterns, stacked, tasks
+from strategies import (
+    SEEDS,
+    at,
+    cases,
+    dense_flight,
+    idle_size,
+    plain_cost,
+    sign_patterns,
+    stacked,
+    tasks,
+)
 
 # A regret by roll-out is a difference of two costs: exact up to this fraction of their sum.
 REGRET = 1e-9
@@ -105,6 +115,16 @@ def test_every_entry_of_psi_is_the_cost_of_unit_errors_at_rest(task, information
     cost = control_cost(task, *run_controller(task, np.zeros(task.n), 0 * e, e, information))
     unit = np.diag(cost) / 4
     assert close(psi(task, information), (cost - unit[:, None] - unit) / 2, task)
+
+
+@given(cases(max_horizon=4), st.sampled_from(INFORMATION))
+def test_psi_is_the_regret_of_a_robot_that_plans_anew_by_dense_algebra(case, information):
+    # From rest under s = 0 errors alone cost something, and no code of ours computes what.
+    task, (_, s, errors) = case
+    expected = plain_cost(task, *dense_flight(task, np.zeros(task.n), 0 * s, errors, information))
+    found = [quadratic(psi(task, information), errors)]
+    found += [preview_regret(task, errors)] * (information == "preview")
+    assert np.abs(np.array(found) - expected).max() <= ROUNDING * psi_size(task) * (errors**2).sum()
 
 
 # ------------------------------------------------------------------------ what Psi is, by algebra

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
+from scipy.optimize import lsq_linear
 
 import modelselect as ms
 from modelselect import SelectionProblem
@@ -89,17 +90,46 @@ def test_both_relaxations_bound_every_schedule_and_reach_their_bound(problem):
         )
 
 
+@given(SEEDS, st.integers(1, 8))
+def test_projected_gradient_meets_bounded_least_squares(seed, k):
+    rng = np.random.default_rng(seed)
+    F, goal = rng.normal(size=(k + 2, k)), 2 * rng.normal(size=k + 2)
+    expected = lsq_linear(F, goal, (0, 1), method="bvls", tol=1e-14)  # cost: half the square
+
+    def evaluate(x):
+        slope = F.T @ (F @ x - goal)
+        value = ((F @ x - goal) ** 2).sum() / 2
+        return value, value - np.maximum(slope * x, slope * (x - 1)).sum(), slope
+
+    step = np.full(k, 1 / np.linalg.norm(F, 2) ** 2)
+    found, steps = ms.projected_gradient(
+        evaluate, lambda x: np.clip(x, 0, 1), np.full(k, 0.5), step, 1e-12, 0.0, 100_000
+    )
+    assert steps < 100_000
+    assert evaluate(found)[0] == pytest.approx(expected.cost, rel=1e-11, abs=1e-14)
+    curved = np.linalg.svd(F)[1][-1] ** 2  # f(x) - f(best) >= curved / 2 |x - best|^2
+    assert curved * ((found - expected.x) ** 2).sum() <= 4e-12 * expected.cost + 1e-13
+
+
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("p", [1, 2])
-def test_relaxations_agree_with_a_general_convex_solver(seed, p):
+@pytest.mark.parametrize("some", [False, True])
+def test_relaxations_agree_with_a_general_convex_solver(seed, p, some):
     problem = known_suite(seed, H=8, p=p, rank=5)
     H, W, _ = problem.mean.shape
+    allowed = np.random.default_rng(seed).random((H, W)) < 0.6 if some else np.ones((H, W), bool)
+    allowed[:, seed] = True
     b, U = cp.Variable((H, W), nonneg=True), np.linalg.cholesky(problem.psi + 1e-12 * np.eye(p * H))
     d = cp.hstack([b[t] @ problem.mean[t, :, i] for t in range(H) for i in range(p)])
     objective = cp.sum_squares(U.T @ d) + cp.sum(cp.multiply(problem.linear, b))
-    value = cp.Problem(cp.Minimize(objective), [cp.sum(b, axis=1) == 1]).solve(solver="CLARABEL")
-    for relax in (ms.relax, ms.relax_interior_point):
-        assert relax(problem, gap=1e-7).value == pytest.approx(value, rel=1e-6)
+    rules = [cp.sum(b, axis=1) == 1, cp.multiply(b, ~allowed) == 0]
+    value = cp.Problem(cp.Minimize(objective), rules).solve(solver="CLARABEL")
+    found = [ms.relax_interior_point(problem, allowed=allowed, gap=1e-7)]
+    cost = np.where(allowed, problem.model_cost, np.inf)
+    found += [relax(replace(problem, model_cost=cost), gap=1e-7)
+              for relax in (ms.relax, ms.relax_interior_point)]  # fmt: skip
+    for point in found:
+        assert point.value == pytest.approx(value, rel=1e-6) and not point.weights[~allowed].any()
 
 
 def test_interior_point_needs_few_steps_where_gradients_need_thousands():
@@ -358,6 +388,22 @@ def test_tree_of_branch_and_bound_is_a_tree_whose_bounds_only_rise():
     assert best == sorted(best, reverse=True)
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_no_schedule_below_a_node_beats_both_its_bound_and_the_best_known_then(seed):
+    problem = known_suite(seed, H=6, W=4, p=2)
+    schedules = every_schedule(problem)
+    totals, tree = problem.total_cost(schedules), ms.branch_and_bound(problem, gap=0).work["tree"]
+    assert len(tree) > 3
+    for node in tree:
+        below, place = np.ones(len(schedules), dtype=bool), node
+        while place.parent >= 0:
+            below &= schedules[:, place.step] == place.model
+            place = tree[place.parent]
+        least = totals[below].min()
+        assert least >= min(node.bound, node.best) - rounding(problem)
+        assert node.best >= totals.min() - rounding(problem)
+
+
 def test_separable_problems_take_one_minimum_per_step():
     problem = known_suite(1, H=9)
     block_diagonal = replace(problem, psi=np.diag(problem.psi.diagonal()))
@@ -454,6 +500,47 @@ def test_optimum_does_not_exceed_any_constant_schedule(problem):
     H, W, _ = problem.mean.shape
     constant = np.repeat(np.arange(W)[:, None], H, axis=1)
     assert ms.solve(problem).cost <= problem.total_cost(constant).min() + rounding(problem)
+
+
+def test_a_schedule_says_who_found_it_and_with_how_much_work():
+    problem = known_suite(3, H=5, W=3)
+    found = {solver.__name__: solver(problem) for solver in [*EXACT[:-1], *INEXACT]}
+    assert {name: schedule.solver for name, schedule in found.items()} == {n: n for n in found}
+    assert found["enumerate_schedules"].work["schedules"] == 3**5
+    assert found["plain_dynamic_program"].work["labels"] == 3**5
+
+
+def test_enumeration_sees_schedules_beyond_the_first_block_of_numbers():
+    for H, W in ((17, 2), (11, 3)):  # 2^14 schedules are priced at a time
+        last = np.full(H, W - 1)
+        mean = np.zeros((H, W, 1))
+        problem = SelectionProblem(np.zeros((H, H)), mean, mean, -np.arange(W) + W)
+        assert np.array_equal(ms.enumerate_schedules(problem).choices, last)
+        cost = np.tile(np.arange(W), (H, 1))
+        cost[0] *= -3  # the best is the first of the last block
+        best = ms.enumerate_schedules(SelectionProblem(np.zeros((H, H)), mean, mean, cost)).choices
+        assert np.array_equal(best, (last[0],) + (0,) * (H - 1))
+
+
+@pytest.mark.parametrize("solver", [ms.enumerate_schedules, ms.plain_dynamic_program])
+def test_as_many_schedules_as_allowed_are_not_too_many(solver):
+    problem = known_suite(1, H=4, W=3)
+    limit = {ms.enumerate_schedules: "max_schedules", ms.plain_dynamic_program: "max_labels"}
+    assert solver(problem, **{limit[solver]: 81}).is_optimal
+    with pytest.raises(ValueError, match=r"^problem: expected at most 80 .*, found 3\^4"):
+        solver(problem, **{limit[solver]: 80})
+
+
+def test_gradients_need_no_more_steps_where_steps_have_very_different_weights():
+    for seed in range(4):
+        problem = known_suite(seed, H=20, W=4, p=2)
+        unit = 10.0 ** np.random.default_rng(seed).uniform(-3, 3, 20).repeat(2)
+        cost = np.tile(problem.model_cost, (20, 1))
+        cost[::3, 1] = np.inf
+        uneven = replace(problem, psi=problem.psi * np.outer(unit, unit), model_cost=cost)
+        assert ms.relax(problem).iterations <= 500
+        assert ms.relax(uneven).iterations <= 200
+        assert ms.solve_blend(ms.BlendProblem(problem)).iterations <= 100
 
 
 # ------------------------------------------------------------------------------- limits, edges

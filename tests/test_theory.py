@@ -339,13 +339,35 @@ def test_the_semidefinite_blocks_hold_exactly_above_the_cost_and_in_the_box(
     if not inside:
         c[rng.integers(H)] = rng.choice([-0.01, 1.01])
     margin = 1e-6 * size(blend.problem)
-    blocks = ms.sdp_blocks(blend, blend.total_cost(c) + side * margin, c)
+    blocks = ms.sdp_blocks(blend, blended_cost(blend.problem, 0, 1, c) + side * margin, c)
     assert [len(block) for block in blocks] == [1] * (2 * H) + [H + 1]
     smallest = np.array([np.linalg.eigvalsh(block)[0] for block in blocks])
     # A step of `margin` past the boundary moves the Schur complement's eigenvalue by a share of
     # it, far above rounding; at the boundary itself rounding would decide.
     assert (smallest[-1] > -1e-12 * np.trace(blocks[-1])) == (side > 0)
     assert (smallest[:-1] >= 0).all() == inside
+
+
+@pytest.mark.parametrize("p, full", [(1, False), (2, True)])
+def test_an_sdp_solver_on_our_blocks_meets_a_qp_solver_on_the_definition(p, full):
+    cp, H, problem = cvxpy(), 4, suite(5, H=4, p=p, full=full)
+    blend, unit = BlendProblem(problem), np.eye(4)
+    # The blocks are affine in (theta, c): probe them with zero and with unit vectors.
+    base, *probes = (ms.sdp_blocks(blend, theta, c) for theta, c in
+                     [(0, 0 * unit[0]), (1, 0 * unit[0]), *((0, row) for row in unit)])  # fmt: skip
+    x, c = cp.Variable(1 + H), cp.Variable(H)
+    affine = [block + sum(x[i] * (probe[k] - block) for i, probe in enumerate(probes))
+              for k, block in enumerate(base)]  # fmt: skip
+    sdp = cp.Problem(cp.Minimize(x[0]), [block >> 0 for block in affine]).solve(solver="CLARABEL")
+    values, vectors = np.linalg.eigh(problem.psi)
+    F, mean = (vectors * np.sqrt(np.maximum(values, 0))).T, problem.mean
+    mixed = [(1 - c[t]) * mean[t, 0, r] + c[t] * mean[t, 1, r] for t in range(H) for r in range(p)]
+    step = [[problem.alpha * np.trace(problem.psi[t * p : t * p + p, t * p : t * p + p] @ sigma(
+        problem, t, w)) + problem.beta * kappa(problem, t, w) for t in range(H)]
+        for w in (0, 1)]  # fmt: skip
+    cost = problem.alpha * cp.sum_squares(F @ cp.hstack(mixed)) + (1 - c) @ step[0] + c @ step[1]
+    qp = cp.Problem(cp.Minimize(cost), [c >= 0, c <= 1]).solve(solver="CLARABEL")
+    assert sdp == pytest.approx(qp, rel=1e-6)
 
 
 # ------------------------------------------------------------------ a random mixture is no blend
@@ -873,3 +895,9 @@ def test_what_is_no_covariance_over_all_steps_is_refused(covariance, fragment):
     problem = tiled(scalar(3), np.zeros((1, 3)))
     with pytest.raises(ValueError, match=rf"^covariance: expected .*{fragment}"):
         ms.correlated_cost(problem, [0, 0, 0], covariance)
+
+
+def test_a_number_is_a_covariance_only_of_errors_with_one_component():
+    problem = SelectionProblem(np.eye(4), np.zeros((2, 1, 2)), np.zeros((2, 1, 2)), [0])
+    with pytest.raises(ValueError, match=r"^covariance: expected shape \(p, p\) = \(2, 2\), found"):
+        ms.correlated_cost(problem, [0, 0], lambda *_: 1.0)

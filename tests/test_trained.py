@@ -1,12 +1,18 @@
 """Experiment 2 end to end, with three small networks: landings on pictures, cache, figures."""
 
+import math
+import re
+import statistics
 from dataclasses import replace
 from functools import partial
+from itertools import pairwise
 
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
+from scipy.ndimage import zoom
+from scipy.stats import chi2, t
 
 import landing
 import modelselect as ms
@@ -18,8 +24,10 @@ from perception import (
     draw_pose,
     draw_scenes,
     guard_suite,
+    measure_models,
     photograph,
     read_residuals,
+    train_models,
 )
 
 TINY = {"architecture": ARCHITECTURE[:3], "training": 320, "held_out": 300, "epochs": 4}
@@ -53,6 +61,15 @@ def test_costs_are_counted_from_the_arrays_or_linear(trained):
     np.testing.assert_array_equal(landing.model_cost(trained.networks, "linear"), [0, 1, 2])
 
 
+def test_counted_costs_by_hand(trained):
+    # Windows times weights, layer by layer, of pictures of 12, 16 and 20 pixels a side.
+    small = 5**2 * 16 * 2 + 2**2 * 18 * 4 + 1 * 16 * 8 + 8
+    middle = 7**2 * 16 * 3 + 3**2 * 27 * 6 + 1 * 54 * 12 + 12
+    large = 9**2 * 16 * 4 + 4**2 * 36 * 8 + 1 * 128 * 16 + 16
+    expected = [2 * small / large, 2 * middle / large, 2]
+    assert landing.model_cost(trained.networks, "counted") == pytest.approx(expected, rel=1e-14)
+
+
 @pytest.mark.parametrize("cost", ["linear", "counted"])
 def test_the_price_follows_the_rule_at_fixed_weights(trained, cost):
     """beta Upsilon (W-1) H = 0.2 alpha (control term of All Small) at alpha, beta = 0.8, 0.2."""
@@ -73,6 +90,34 @@ def test_the_suite_is_that_of_the_held_out_pictures(result, trained):
     assert result.suite.sample_size[t, w] == mine.sum()
     assert result.suite.mean[t, w, 0] == pytest.approx(measured.residual[mine].mean())
     assert result.suite.variance[t, w, 0] == pytest.approx(measured.residual[mine].var(ddof=1))
+
+
+def fitted(measured, path, bins, guarded):
+    """Mean and variance (H, W) by loops over steps: equally full bins, textbook bounds."""
+    within = measured.altitude[(measured.altitude > path.min()) & (measured.altitude < path.max())]
+    edges = [path.min(), *np.quantile(within, np.arange(1, bins) / bins), path.max()]
+    moments = np.empty((2, len(path), len(measured.names)))
+    for step, w in np.ndindex(moments.shape[1:]):
+        b = min(sum(edge <= path[step] for edge in edges) - 1, bins - 1)
+        below = measured.altitude <= edges[b + 1] if b == bins - 1 else (
+            measured.altitude < edges[b + 1])  # fmt: skip
+        r = measured.residual[below & (measured.altitude >= edges[b]) & (measured.model == w)]
+        n, m, v = len(r), statistics.fmean(r), statistics.variance(r)
+        if guarded:
+            m += math.copysign(t.ppf(0.95, n - 1) * math.sqrt(v / n), m)
+            v *= (n - 1) / chi2.ppf(0.05, n - 1)
+        moments[:, step, w] = m, v
+    return moments
+
+
+@pytest.mark.parametrize("guarded", [False, True])
+def test_a_suite_along_the_landing_is_that_of_loops_and_textbook_bounds(trained, guarded):
+    aircraft, bins = landing.preset("textbook", 30), 7
+    mean, variance = fitted(trained.residuals, aircraft.path[:-1], bins, guarded)
+    found = landing.fit_landing(aircraft, trained.residuals, [0, 1, 5], bins, guard=guarded)
+    np.testing.assert_allclose(found.mean[..., 0], mean, rtol=1e-9)
+    np.testing.assert_allclose(found.variance[..., 0], variance, rtol=1e-9)
+    assert found.cost.tolist() == [0, 1, 5]
 
 
 @pytest.mark.parametrize(
@@ -177,6 +222,66 @@ def test_predicted_regret_is_that_of_the_error_models(result):
         assert total >= (0.6 * least.predicted + 0.4 * least.paid) * (1 - 1e-9)
 
 
+def test_flown_regret_is_that_of_the_controller_fed_what_the_networks_made_of_it(result):
+    run, found = judge_on_pictures(result, result.settings.information, ("Optimal",))
+    s = run.landing.draw_inputs(np.random.default_rng(0).spawn(5)[1], 8)
+    e = fly_on_pictures(run, s, run.optimal.choices, 0)[2]
+    with_e, without = (
+        ms.control_cost(task, *ms.run_controller(task, run.landing.x0, s, fed, pattern))
+        for task, pattern in [(run.landing.task, run.settings.information)]
+        for fed in (s + e, s)
+    )
+    np.testing.assert_allclose(found["Optimal"].flown, with_e - without, rtol=1e-6)
+
+
+def test_regret_of_all_residuals_is_that_of_loops_over_steps(result):
+    # Without a forecast steps decouple: the best model of each is found alone.
+    problem, path = result.problem, result.landing.path[:-1]
+    new = measure_models(result.trained.networks, 900, np.random.default_rng([0, 1]))
+
+    def totals(measured, guarded=False):
+        mean, variance = fitted(measured, path, 20, guarded)
+        felt = [problem.psi[i, i] * (mean[i] ** 2 + variance[i]) for i in range(150)]
+        return 0.6 * np.array(felt) + 0.4 * problem.model_cost
+
+    truth = totals(new)
+    least = sum(min(row) for row in truth)
+    for guarded, found in enumerate(landing.sample_sizes(result, (300,), repeats=1, fresh=900)[0]):
+        seen = totals(result.trained.residuals, guarded)
+        chosen = sum(row[min(range(3), key=own.__getitem__)]
+                     for row, own in zip(truth, seen, strict=True))  # fmt: skip
+        assert found == pytest.approx([chosen / least - 1], rel=1e-6, abs=1e-12)
+
+
+def test_the_report_on_pictures_prints_what_it_was_told(result, monkeypatch):
+    """Three trials, t = 4.302653: regrets 1, 2, 3 have mean 2 and half-width 4.3 / sqrt(3)."""
+    three = np.array([1.0, 2, 3])
+    regrets = {"Optimal": landing.Regret(1.25, three, 2 * three, 10 * three, 100.0)}
+    regrets["All Small"] = landing.Regret(7.5, 3 * three, 4 * three, 20 * three, 50.0)
+    monkeypatch.setattr(landing, "judge_on_pictures", lambda run, *_, **__: (run, regrets))
+    table = np.array([[[0.1, 0.2], [0.3, 0.5]]]).repeat(2, axis=0)
+    monkeypatch.setattr(landing, "sample_sizes", lambda *_: table)
+    text = landing.report_pictures(result)
+    rows = {line[:9].strip(): line[12:].replace("±", "").split() for line in text.splitlines()}
+    assert rows["Optimal"] == ["1.2", "2.0", "2.5", "4.0", "5.0", "20.0", "24.8", "100.0"]
+    # Optimal gains 0.6 (6 - 2) - 0.4 (100 - 50) in one, 0.6 (40 - 20) - 20 on pictures.
+    small = ["7.5", "6.0", "7.5", "8.0", "9.9", "40.0", "49.7", "50.0"]
+    assert rows["All Small"] == [*small, "-17.6", "3.0", "-8.0", "14.9"]
+    assert re.findall(r"^ +(50|100) +(\S+) ± +(\S+)% +(\S+) ± +(\S+)%$", text, re.M) == [
+        (n, "15.00", "63.53", "40.00", "127.06") for n in ("50", "100")
+    ]  # two draws, t = 12.7062: 5 and 10 times it, in per cent
+    measured, edges = result.trained.residuals, [-2, 0, 5, 15, 35, 70, 100]
+    for w, network in enumerate(result.trained.networks):
+        h, r = (x[measured.model == w] for x in (measured.altitude, measured.residual))
+        bins = [r[(h >= low) & (h < high)] for low, high in pairwise(edges)]
+        rms = [math.sqrt(statistics.fmean(part**2)) for part in (r, *bins)]
+        half = t.ppf(0.975, 299) * statistics.stdev(r**2) / math.sqrt(300) / (2 * rms[0])
+        shown = re.search(rf"^b{w} .*", text, re.M)[0].replace(",", "").replace("±", "").split()
+        assert shown[1:3] == [str(network.parameters), str(network.multiply_adds)]
+        expected = [rms[0], half, *rms[1:]]
+        assert [float(x) for x in shown[3:]] == pytest.approx(expected, abs=6e-3)
+
+
 def test_regret_of_few_residuals_is_never_below_the_optimum(result):
     table = landing.sample_sizes(result, (50, 300), repeats=6, fresh=900)
     assert table.shape == (2, 2, 6)
@@ -212,6 +317,18 @@ def test_models_are_learned_once_for_each_seed(trained, tmp_path, monkeypatch):
     for seed, options in ((1, TINY), (0, TINY | {"epochs": 5})):
         with pytest.raises(pytest.fail.Exception, match="trained again"):
             learn(seed, tmp_path / "new", **options)
+
+
+def test_what_is_learned_is_what_training_makes_of_the_first_stream_of_the_seed(tmp_path):
+    tiny = {"architecture": ((8, 1, 2),), "training": 20, "held_out": 5, "epochs": 2}
+    expected = train_models(np.random.default_rng(3).spawn(1)[0], **tiny)
+    for found in (learn(3, **tiny), learn(3, tmp_path, **tiny), learn(3, tmp_path, **tiny)):
+        np.testing.assert_array_equal(found.losses, expected.losses)
+        np.testing.assert_array_equal(found.residuals.residual, expected.residuals.residual)
+        for a, b in zip(found.networks[0].layers, expected.networks[0].layers, strict=True):
+            np.testing.assert_array_equal(a.weight, b.weight)
+    (file,) = tmp_path.iterdir()
+    assert re.fullmatch(r"models-[0-9a-f]{16}\.npz", file.name)
 
 
 def test_the_command_line_runs_it_all(tiny, tmp_path, capsys):
@@ -269,4 +386,69 @@ def test_figures_are_drawn(plot, trained):
 def test_counted_costs_are_not_labelled_as_multiples_of_upsilon(plot, result):
     figure = plot(result)
     assert [axes.get_xlabel() for axes in figure.axes] == ["perception cost (operations)"]
+    plt.close(figure)
+
+
+def test_accuracy_figure_shows_root_mean_squares_over_parameters(trained):
+    figure = landing.plot_accuracy(trained)
+    line, measured = figure.axes[0].lines[0], trained.residuals
+    for w, (x, y) in enumerate(line.get_xydata()):
+        assert x == sum(a.size for layer in trained.networks[w].layers for a in layer[:2])
+        assert y == pytest.approx(
+            math.sqrt(statistics.fmean(measured.residual[measured.model == w] ** 2))
+        )
+    plt.close(figure)
+
+
+@pytest.mark.parametrize("model", [0, -1])
+def test_distribution_figure_shows_errors_their_mean_and_deviation(model, trained):
+    figure, measured = landing.plot_distribution(trained, model), trained.residuals
+    dots, mean = figure.axes[0].lines
+    mine = measured.model == model % 3
+    pairs = sorted(zip(measured.altitude[mine] + 5, measured.residual[mine], strict=True))
+    assert sorted(map(tuple, dots.get_xydata())) == pairs
+    parts = [pairs[i : i + 15] for i in range(0, 300, 15)]  # twenty parts of equal size
+    expected = [[statistics.fmean(column) for column in zip(*part, strict=True)] for part in parts]
+    np.testing.assert_allclose(mean.get_xydata(), expected)
+    band = figure.axes[0].collections[0].get_paths()[0].vertices[:, 1]
+    for (_, y), part in zip(expected, parts, strict=True):
+        deviation = statistics.pstdev(e for _, e in part)
+        assert min(abs(band - y - deviation)) < 1e-9 and min(abs(band - y + deviation)) < 1e-9
+    plt.close(figure)
+
+
+def test_training_figure_shows_roots_of_losses_in_logarithms_of_distance(trained):
+    figure = landing.plot_training(trained)
+    for w, line in enumerate(figure.axes[0].lines):
+        roots = [math.log(140 / 3) / math.sqrt(12) * math.sqrt(x) for x in trained.losses[w]]
+        np.testing.assert_allclose(line.get_xydata(), [*enumerate(roots, start=1)])
+    assert w == 2 and [text.get_text() for text in figure.legends[0].texts] == ["b0", "b1", "b2"]
+    plt.close(figure)
+
+
+def test_quantile_figure_shows_standardised_errors_over_normal_quantiles(trained):
+    figure, measured = landing.plot_quantiles(trained), trained.residuals
+    normal = [statistics.NormalDist().inv_cdf((i + 0.5) / 300) for i in range(300)]
+    for w, axes in enumerate(figure.axes[:3]):
+        mine = measured.model == w
+        pairs = sorted(zip(measured.altitude[mine], measured.residual[mine], strict=True))
+        z = []
+        for part in (pairs[i : i + 15] for i in range(0, 300, 15)):
+            errors = [e for _, e in part]
+            middle, deviation = statistics.fmean(errors), statistics.stdev(errors)
+            z += [(e - middle) / deviation for e in errors]
+        expected = np.transpose([normal, sorted(z)])
+        np.testing.assert_allclose(axes.lines[0].get_xydata(), expected, rtol=1e-9, atol=1e-9)
+    plt.close(figure)
+
+
+def test_gallery_shows_three_landings_and_the_third_again_at_40_pixels():
+    figure = landing.plot_gallery(3)
+    pictures = [axes.images[0].get_array() for axes in figure.axes]
+    assert [picture.shape for picture in pictures] == [(128, 128)] * 24 + [(40, 40)] * 8
+    titles = [axes.get_title() for axes in figure.axes[:8]]
+    assert titles == [f"{h} ft" for h in (100, 60, 35, 20, 10, 5, 2, 0)]
+    for fine, coarse in zip(pictures[16:24], pictures[24:], strict=True):
+        assert np.corrcoef(zoom(fine, 40 / 128, order=1).ravel(), coarse.ravel())[0, 1] > 0.8
+    assert np.corrcoef(pictures[0].ravel(), pictures[8].ravel())[0, 1] < 0.8  # another landing
     plt.close(figure)
