@@ -1064,6 +1064,7 @@ def test_a_spoiled_argument_is_refused_in_a_line_that_names_it(row, name, way):
         check_line(caught.value, tuple(f"{word}{end}" for word in names for end in ":."))
 
 
+@pytest.mark.unmutated
 @pytest.mark.parametrize("row, name, way", cases(SAMES))
 def test_other_forms_of_the_same_numbers_give_the_same_answer(row, name, way):
     arg = ROWS[row][1][name]

@@ -1,16 +1,15 @@
 # %% [markdown]
 # ## Exercise 1
 #
-# From the distance $z$ the picture shows a strip $2 \cdot$ `TANGENT` $\cdot z$ wide in `side`
-# pixels, so a foot covers `side` $/ (2 \cdot$ `TANGENT` $\cdot z)$ of them. The pad is $2 \cdot$
-# `PAD` wide. At 100 ft b0 sees it in two pixels, b7 in seven.
+# From the distance $z$ the pad is $w = S \cdot$ `PAD` $/ ($ `TANGENT` $\cdot z)$ pixels wide, so one
+# pixel means $z / w = z^2 \cdot$ `TANGENT` $/ (S \cdot$ `PAD` $)$ feet: the square of the distance.
+# Solve for $z$; the drone is `MOUNT` lower. Twice the pixels carry only $\sqrt 2$ times as far.
 
 
 # %%
-def pad_pixels(side, altitude):
-    """Return the width of the pad in pixels."""
-    z = altitude + MOUNT
-    return side / (2 * TANGENT * z) * 2 * PAD
+def highest(side, feet):
+    """Return the altitude at which one pixel means an error of this many feet."""
+    return (feet * side * PAD / TANGENT) ** 0.5 - MOUNT
 
 
 # %% [markdown]
