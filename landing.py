@@ -773,20 +773,20 @@ def _costs(result: Result) -> list[str]:
     def cell(values: Array) -> str:
         constant = len(values) > 1 and np.ptp(values) == 0
         half = "" if constant else f"± {half_width(values) / unit:.3f}".replace("nan", "-")
-        return f"{values.mean() / unit:12.3f} {half:9}"
+        return f"{values.mean() / unit:12.3f} {half:10}"
 
     heads = ("control cost", "perception cost", "reward", "Optimal gains")
     lines = [
         f"Means of {result.settings.trials} trials ± 95% t-intervals, in units of {unit:.0e}; "
         f"perception costs are {COSTS[result.settings.cost]}",
-        " " * 12 + "".join(f"{head:>17}     " for head in heads),
+        " " * 12 + "".join(f"{head:>17}      " for head in heads),
     ]
     scale = 1e15 if result.settings.experiment == "trained" else unit
     for policy, flown in result.flights.items():
         lines += [f"{policy:12}" + "".join(map(cell, (*flown[2:], best.reward - flown.reward)))]
         if policy in log:
             lines += [
-                "  published " + "".join(f"{mean / scale:12.3f}{'':10}" for mean in log[policy])
+                "  published " + "".join(f"{mean / scale:12.3f}{'':11}" for mean in log[policy])
             ]
     lines += [
         "Oracle (no error) and Clairvoyant (knows all errors beforehand) are infeasible.",
@@ -866,7 +866,8 @@ STYLE: Any = {
     "mathtext.fontset": "cm",
 }
 #: Axes of perception cost, by `COSTS`.
-PRICE = {"linear": "perception cost (sum of $w \\Upsilon$)", "counted": "perception cost (operations)"}
+PRICE = {"linear": "sum of $w \\Upsilon$", "counted": "operations"}
+PRICE = {cost: f"perception cost ({what})" for cost, what in PRICE.items()}
 #: Colours of Okabe and Ito, which the colour-blind tell apart, and markers, hollow if infeasible.
 LOOK: dict[str, dict[str, Any]] = {
     "Oracle": {"color": "#000000", "marker": "o", "fillstyle": "none"},
