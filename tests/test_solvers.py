@@ -65,6 +65,12 @@ def glider(H=150):
 # ------------------------------------------------------------------------------- relaxations
 
 
+def test_projection_takes_any_leading_axes():
+    v = np.random.default_rng(0).normal(size=(2, 3, 4))
+    each = [[ms.project_to_simplex(point) for point in row] for row in v]
+    np.testing.assert_array_equal(ms.project_to_simplex(v), each)
+
+
 @given(SEEDS, st.integers(1, 6), st.integers(-8, 16))
 def test_projection_is_the_nearest_point_of_the_simplex(seed, W, magnitude):
     v = np.random.default_rng(seed).normal(size=(3, W)) * 10.0**magnitude
@@ -384,8 +390,21 @@ def test_tree_of_branch_and_bound_is_a_tree_whose_bounds_only_rise():
     for position, node in enumerate(tree[1:], start=1):
         assert 0 <= node.parent < position
         assert node.bound >= tree[node.parent].bound
-    best = [node.best for node in tree]
-    assert best == sorted(best, reverse=True)
+    assert all(node.step == node.model == -1 for node in tree[:1])
+    for rising in ([-node.best for node in tree], [0, *(node.seconds for node in tree)]):
+        assert rising == sorted(rising)
+
+
+@pytest.mark.parametrize("most", [1, 2, 7])
+def test_branch_and_bound_bounds_no_more_nodes_than_it_may(most):
+    schedule = ms.branch_and_bound(known_suite(0, H=14), max_nodes=most)
+    assert schedule.work["nodes"] == len(schedule.work["tree"]) == most
+
+
+def test_branch_and_bound_stops_at_the_gap_that_it_is_given():
+    problem = known_suite(0, H=14)
+    nodes = [ms.branch_and_bound(problem, gap=gap).work["nodes"] for gap in (1, 0.2, 0.1, 0)]
+    assert nodes == sorted(set(nodes)) and nodes[0] == 1
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -610,12 +629,13 @@ def test_what_overflows_is_refused_and_never_returned():
         SelectionProblem(np.eye(2), np.full((2, 1, 1), 1e200), np.zeros((2, 1, 1)), [0.0])
 
 
-@pytest.mark.parametrize("claim", [-1e9, 1e9])
-def test_a_lower_bound_outside_root_bound_and_cost_has_no_certificate(claim):
+@pytest.mark.parametrize("off", [1e-6, 1, 1e9])
+def test_a_lower_bound_outside_root_bound_and_cost_has_no_certificate(off):
     problem = known_suite(0, H=4)
     schedule = ms.solve(problem)
-    with pytest.raises(ValueError, match=r"^schedule\.lower_bound: expected"):
-        ms.check_certificate(problem, replace(schedule, lower_bound=claim))
+    for claim in (schedule.root_bound - off * schedule.cost, (1 + off) * schedule.cost):
+        with pytest.raises(ValueError, match=r"^schedule\.lower_bound: expected"):
+            ms.check_certificate(problem, replace(schedule, lower_bound=claim))
 
 
 def test_enumeration_keeps_the_best_of_several_blocks():

@@ -897,6 +897,12 @@ def test_what_is_no_covariance_over_all_steps_is_refused(covariance, fragment):
         ms.correlated_cost(problem, [0, 0, 0], covariance)
 
 
+def test_integers_may_add_up_to_ten_million_and_no_further():
+    assert len(ms.partition_problem([9_999_999, 1]).psi) == 2
+    with pytest.raises(ValueError, match=r"^integers: .* at most 1e7, found 10000001"):
+        ms.partition_problem([10_000_000, 1])
+
+
 def test_a_number_is_a_covariance_only_of_errors_with_one_component():
     problem = SelectionProblem(np.eye(4), np.zeros((2, 1, 2)), np.zeros((2, 1, 2)), [0])
     with pytest.raises(ValueError, match=r"^covariance: expected shape \(p, p\) = \(2, 2\), found"):
