@@ -621,10 +621,10 @@ def report_pictures(result: Result, *, progress: bool = False) -> str:
         lines += ["", *_flown(*judged)]
     lines += [
         "",
-        "Flown regret exceeds predictions for three reasons.  A flight leaves the glide path for",
-        "altitudes that a model takes for others, so that errors resist correction: in small",
-        "models above all.  It keeps its scene, so that errors last.  And Optimal took what looked",
-        "best on few residuals, partly by luck (see the table below); Guarded trusts luck less.",
+        "Flown regret exceeds predictions for two reasons.  Errors depend on where errors have led:",
+        "the drone pitches to correct, so that its camera looks askew, and it leaves the glide path;",
+        "small models suffer most, and an unchanging scene makes errors last, which leads further.",
+        "And Optimal took what looked best on few residuals, partly by luck (see the table below).",
     ]
     lines += ["", f"Total cost of schedules fitted on n residuals, judged on {FRESH} new pictures:"]
     lines += [f"{'n':>5}{'beyond the optimum':>24}{'with guard_suite':>24}  (mean ± 95%, 40 draws)"]

@@ -394,11 +394,11 @@ print("Best Single runs", suite.names[flights["Best Single"].choices[0]])
 assert reward["Greedy"].mean() < 8 * reward["Optimal"].mean()
 
 # %% [markdown]
-# (Total: minus the mean reward, at $w\Upsilon$.) **Best Single**: choosing when, and not only which,
-# saves a fifth of its total, 24.4 of 124.4. That is the worth of a schedule, and a fairer yardstick
-# than Random. **Clairvoyant** knows the noise of every trial before it flies, and gains less than
-# 1%: here it is worth knowing the models, not the future. **Greedy** weighs each step by its own
-# $\Psi_{tt}\mu_t^2$. It sees a tiny part of the bill:
+# (Total: minus the mean reward, at $w\Upsilon$.) **Best Single**: choosing when, and not only
+# which, saves a fifth of its total, 24.4 of 124.4. That is the worth of a schedule, and a fairer
+# yardstick than Random. **Clairvoyant** knows the noise of every trial before it flies, and gains
+# less than 1%: here it is worth knowing the models, not the future. **Greedy** weighs each step by
+# its own $\Psi_{tt}\mu_t^2$. It sees a tiny part of the bill:
 
 # %%
 for policy in ("Greedy", "Optimal"):
@@ -469,7 +469,7 @@ print(f"b0 less its bias throughout: extra control cost {centred.control_term([0
 # | the experiment shows | it does not show |
 # |---|---|
 # | the optimum of a coupled problem of 150 steps, proved | that this landing needs perception |
-# | that a schedule beats every constant choice of b0 to b7 | that a choice is needed with feedback |
+# | that a schedule beats every single model | that a choice is needed with feedback |
 # | that ignoring the coupling is costly | that variance matters |
 # | what accumulating errors do to a plan | anything about a touchdown |
 #
@@ -565,11 +565,10 @@ print("Exercise 1: right")
 # %% [markdown]
 # ### Exercise 2: the same trials
 #
-# Optimal and Clairvoyant fly through the same 100 errors. Write `paired(a, b)` for two arrays of 100
-# costs, one of each trial $k$. It returns a pair: the mean of the differences $a_k - b_k$, and half
-# of its 95% interval.
-# `landing.half_width(values)` gives half of the 95% interval for the mean of an array. Then compare
-# with what you would get if you took the two means as independent.
+# Optimal and Clairvoyant fly through the same 100 errors. Write `paired(a, b)` for two arrays of
+# 100 costs, one of each trial $k$. It returns a pair: the mean of the differences $a_k - b_k$, and
+# half of its 95% interval. `landing.half_width(values)` gives half of the 95% interval for the
+# mean of an array. Then compare with what you would get if you took the two means as independent.
 
 
 # %% tags=["exercise"]

@@ -101,9 +101,9 @@ np.testing.assert_allclose(counted, predicted, atol=1.5)
 # %% [markdown]
 # Twice the distance, half the pixels. So the altitude can be read off with a ruler:
 # $z = S\ell / (2 \cdot \mathrm{TANGENT} \cdot w)$. Differentiate: an error of one pixel in $w$
-# means an error of $z / w$ feet, and as $w$ falls like $1/z$, **an error of one pixel costs feet that
-# grow like the square of the distance**. So we expect models to be good near the ground and poor
-# far away.
+# means an error of $z / w$ feet, and as $w$ falls like $1/z$, **an error of one pixel costs feet
+# that grow like the square of the distance**. So we expect models to be good near the ground and
+# poor far away.
 
 # %%
 for name, side in (("b0", 12), ("b7", 40)):
@@ -148,8 +148,9 @@ print(f"{len(places)} of {weight.size} derivatives of the second layer agree wit
 
 # %% [markdown]
 # `train_network` follows Adam: a running mean $m$ of the slopes $g$ (weight 0.1) and one, $v$, of
-# their squares (weight 0.001), both corrected for having started at 0, move each weight by $-r \, \hat m / (\sqrt{\hat v} + 10^{-8})$. In the very first step
-# $\hat m = 0.1 g / 0.1 = g$ and $\hat v = 0.001 g^2 / 0.001 = g^2$.
+# their squares (weight 0.001), both corrected for having started at 0, move each weight by
+# $-r \, \hat m / (\sqrt{\hat v} + 10^{-8})$. In the very first step $\hat m = 0.1 g / 0.1 = g$ and
+# $\hat v = 0.001 g^2 / 0.001 = g^2$.
 #
 # **Predict**: by how much does a weight move in the first step, at rate $r = 0.003$? (The size of
 # its slope cancels: by 0.003, whatever the slope; and not at all if the slope is 0.)
@@ -196,8 +197,9 @@ holds("on unseen pictures it is below a third of that of a constant guess", loss
 # `landing.learn` trains the eight networks of the experiment: 2093 pictures to train, 897 held
 # out, as many as in the paper. All see the same scenes, each at its own resolution. What a model
 # costs is counted from its arrays: multiplications for one picture, each weight once a window.
-# `model_cost` scales them so that b7 costs 7 units, as it would at the paper's $w \Upsilon$. (Given a
-# folder, `learn` trains only once. Here training takes the larger part of the notebook's time.)
+# `model_cost` scales them so that b7 costs 7 units, as it would at the paper's $w \Upsilon$.
+# (Given a folder, `learn` trains only once. Here training takes the larger part of the notebook's
+# time.)
 
 # %%
 trained = landing.learn(0)
@@ -421,7 +423,7 @@ for policy in ("Optimal", "Best Single", "All Large", "All Small"):
     np.testing.assert_allclose(cost - ideal, flown[policy], rtol=1e-6)
 print("the regret of each of 4 x 100 flights is the sum of Psi_tt e_t^2, to 6 digits")
 
-# %% alt="Altitude over 20 seconds in four panels, mean and 90% band of 100 landings each. Optimal, Best Single and All Large come down close to the dotted glide path, a little above it in the first 8 seconds; All Small strays up to 60 ft above it and ends up to 30 ft below the ground."
+# %% alt="Altitude over 20 seconds in four panels, mean and 90% band of 100 landings each. Optimal, Best Single and All Large come down close to the dotted glide path, a little above it in the first 8 seconds; All Small strays up to 80 ft above it and ends up to 30 ft below the ground."
 figure, panels = plt.subplots(1, 4, sharey=True, figsize=(10, 4.6))
 time = drone.dt * np.arange(151)
 for axes, (policy, track) in zip(panels, tracks.items(), strict=True):
@@ -460,7 +462,7 @@ fresh = perception.measure_models(trained.networks, 2000, np.random.default_rng(
 judge = landing.fit_landing(drone, fresh, result.suite.cost, bins=20)
 truth = replace(problem, mean=judge.mean, variance=judge.variance)
 
-# %% alt="Regret of four policies on a logarithmic scale in the stages promised, fresh, on rails and flown, with 95% intervals. From promised to fresh only Optimal rises clearly, from 4,900 to 7,600, above Best Single and All Large; from fresh to rails nothing changes beyond the intervals; from rails to flown all four rise, All Small most."
+# %% alt="Regret of four policies on a logarithmic scale in the stages promised, fresh, on rails and flown, the last two with 95% intervals. From promised to fresh only Optimal rises clearly, from 4,900 to 7,600, above Best Single and All Large; from fresh to rails nothing changes beyond the intervals; from rails to flown all four rise, All Small most."
 figure, axes = plt.subplots()
 for policy, line in zip(flown, ("-", "--", "-.", ":"), strict=True):
     choices, look = result.flights[policy].choices, landing.LOOK[policy]
@@ -569,8 +571,8 @@ holds("in flight, Optimal leads Best Single by less than promised, if at all", l
 # persist while the scene stays the same costs nothing by itself, as $\Psi$ has no entries off its
 # diagonal. It can act only by taking the drone further.
 #
-# The last line is sobering: flights confirm a part of the promised lead over Best Single at best. Two
-# assumptions of the method have met reality. That the table is known: it is measured, and the
+# The last line is sobering: flights confirm a part of the promised lead over Best Single at best.
+# Two assumptions of the method have met reality. That the table is known: it is measured, and the
 # choice exploits its noise. And that errors do not depend on the state. Neither touches the
 # algebra; both belong in the error bars of such an experiment.
 #
@@ -620,11 +622,12 @@ holds("in flight it changes the total by less than a fifth", abs(gain) < 0.2 * t
 # the square of the distance. Eight small networks, measured on pictures that they were not trained
 # on, gave a suite of biases and variances with standard errors; the schedule chosen from it is
 # proved optimal, spends large models far from the ground, and beats every simple policy in the
-# error model, and All Large and All Small in flight. Its lead over the best constant model
-# is smaller in flight than promised, if it is there at all. It costs more than promised because an optimal choice exploits lucky
-# measurements, and because errors depend on where they lead the drone. The paper's schedule wins in
-# its own second experiment too (README says how to read its percentages); this one adds how far to
-# trust a promise. The next notebook does it for **your robot**, from a file of residuals.
+# error model, and All Large and All Small in flight. Its lead over the best constant model is
+# smaller in flight than promised, if it is there at all. It costs more than promised because an
+# optimal choice exploits lucky measurements, and because errors depend on where they lead the
+# drone. The paper's schedule wins in its own second experiment too (README says how to read its
+# percentages); this one adds how far to trust a promise. The next notebook does it for **your
+# robot**, from a file of residuals.
 #
 # ## Exercises
 #
@@ -798,8 +801,8 @@ print("Exercise 4: right")
 # promised, and honest.
 #
 # - The pictures are numbered 0 to 896. `residuals` holds all pictures of b0 in this order, then
-#   all of b1, and so on to b7 (897 is odd: mind the numbering). Even-numbered pictures form part A, odd-numbered ones part B. Build
-#   a `Residuals(names, model, altitude, residual)` for each.
+#   all of b1, and so on to b7 (897 is odd: mind the numbering). Even-numbered pictures form part
+#   A, odd-numbered ones part B. Build a `Residuals(names, model, altitude, residual)` for each.
 # - `pose(part)` below gives the problem whose table is fitted on a part. Solve A's problem with
 #   `modelselect.solve`.
 # - Return the `total_cost` of the found schedule in A's problem, and in B's.

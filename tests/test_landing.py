@@ -484,6 +484,17 @@ def test_report_names_what_it_shows(small, published):
     assert max(map(len, f"{text}\n{report(published)}".splitlines())) <= 105
 
 
+def test_readme_shows_the_report_of_the_published_experiment():
+    readme = Path(landing.__file__).with_name("README.md").read_text(encoding="utf-8")
+    shown = re.findall(r"```text\n(Means.*?)\n\n\[then", readme, re.DOTALL)[0]
+    printed = report(run_experiment(Settings())).split("\n\nPercentages")[0]
+    number = r"\d+\.\d+(?:e[+-]\d+)?|\d+e-\d+"
+    old, new = (re.sub(r"in [0-9.]+ s\.$", "", text, flags=re.M) for text in (shown, printed))
+    assert re.sub(number, "", old).split() == re.sub(number, "", new).split()
+    old, new = ([float(x) for x in re.findall(number, text)] for text in (old, new))
+    assert new == pytest.approx(old, rel=2e-3, abs=2e-3)
+
+
 def test_a_single_trial_has_no_interval():
     run = run_experiment(Settings(horizon=3, trials=1))
     assert "± -" in report(run) and "nan" not in report(run)

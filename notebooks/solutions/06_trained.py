@@ -1,9 +1,10 @@
 # %% [markdown]
 # ## Exercise 1
 #
-# From the distance $z$ the pad is $w = S \cdot$ `PAD` $/ ($ `TANGENT` $\cdot z)$ pixels wide, so one
-# pixel means $z / w = z^2 \cdot$ `TANGENT` $/ (S \cdot$ `PAD` $)$ feet: the square of the distance.
-# Solve for $z$; the drone is `MOUNT` lower. Twice the pixels carry only $\sqrt 2$ times as far.
+# From the distance $z$ the pad is $w = S \cdot \mathrm{PAD} / (\mathrm{TANGENT} \cdot z)$ pixels
+# wide, so one pixel means $z / w = z^2 \cdot \mathrm{TANGENT} / (S \cdot \mathrm{PAD})$ feet: the
+# square of the distance. Solve for $z$; the drone is `MOUNT` lower. Twice the pixels carry only
+# $\sqrt{2}$ times as far.
 
 
 # %%
