@@ -621,8 +621,8 @@ def report_pictures(result: Result, *, progress: bool = False) -> str:
         lines += ["", *_flown(*judged)]
     lines += [
         "",
-        "Flown regret exceeds predictions for two reasons.  Errors depend on where errors have led:",
-        "the drone pitches to correct, so that its camera looks askew, and it leaves the glide path;",
+        "Flown regret exceeds predictions for two reasons.  Errors depend on where they have led:",
+        "the drone pitches to correct, so that its camera looks askew, and leaves the glide path;",
         "small models suffer most, and an unchanging scene makes errors last, which leads further.",
         "And Optimal took what looked best on few residuals, partly by luck (see the table below).",
     ]
