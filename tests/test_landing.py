@@ -484,15 +484,38 @@ def test_report_names_what_it_shows(small, published):
     assert max(map(len, f"{text}\n{report(published)}".splitlines())) <= 105
 
 
-def test_readme_shows_the_report_of_the_published_experiment():
+def test_readme_shows_the_report_of_the_published_experiment(published):
     readme = Path(landing.__file__).with_name("README.md").read_text(encoding="utf-8")
     shown = re.findall(r"```text\n(Means.*?)\n\n\[then", readme, re.DOTALL)[0]
-    printed = report(run_experiment(Settings())).split("\n\nPercentages")[0]
+    printed = report(published).split("\n\nPercentages")[0]
     number = r"\d+\.\d+(?:e[+-]\d+)?|\d+e-\d+"
     old, new = (re.sub(r"in [0-9.]+ s\.$", "", text, flags=re.M) for text in (shown, printed))
     assert re.sub(number, "", old).split() == re.sub(number, "", new).split()
     old, new = ([float(x) for x in re.findall(number, text)] for text in (old, new))
     assert new == pytest.approx(old, rel=2e-3, abs=2e-3)
+
+
+def test_the_report_recomputes_the_published_percentages_from_the_log(published):
+    lines = report(published).splitlines()
+    # formula -> from the log at w Upsilon, at (w + 1) Upsilon, and what the paper says of it
+    for formula, log, higher, said in (
+        ("control cost, (Optimal - Random) / |Random|", -85.0, -85.0, None),
+        ("control cost, (Random - Optimal) / |Optimal|", 567.4, 567.4, "567.18% lower"),
+        ("perception cost, (Optimal - Random) / |Random|", -7.0, -5.4, None),
+        ("perception cost, (All Large - Random) / |Random|", 104.3, 80.7, "80.72% less"),
+        ("reward, (All Large - Optimal) / |Optimal|", -63.3, -53.0, "53.26% better"),
+    ):
+        (place,) = (k for k, line in enumerate(lines) if line.startswith(formula))
+        own, *logged = (float(x) for x in re.findall(r"([-+]\d+\.\d)%", lines[place]))
+        assert logged == [log, higher] and math.copysign(1, own) == math.copysign(1, log)
+        quoted = lines[place + 1].startswith("    in the paper:")
+        assert (said in lines[place + 1]) if said else not quoted
+
+
+def test_figures_go_to_a_folder_of_that_name_unless_told_otherwise(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert main([*TINY, "--quiet"]) == 0
+    assert {path.stem for path in (tmp_path / "figures").iterdir()} == FIGURES
 
 
 def test_a_single_trial_has_no_interval():

@@ -4,6 +4,7 @@ The oracle is `every_schedule` of strategies.py: the cost of each schedule, and 
 """
 
 from dataclasses import replace
+from time import perf_counter
 
 import cvxpy as cp
 import numpy as np
@@ -527,6 +528,12 @@ def test_a_schedule_says_who_found_it_and_with_how_much_work():
     assert {name: schedule.solver for name, schedule in found.items()} == {n: n for n in found}
     assert found["enumerate_schedules"].work["schedules"] == 3**5
     assert found["plain_dynamic_program"].work["labels"] == 3**5
+
+
+@pytest.mark.parametrize("solver", [ms.dynamic_program, ms.branch_and_bound, ms.solve])
+def test_the_seconds_of_a_solver_are_those_that_it_took(solver):
+    started = perf_counter()
+    assert 0 <= solver(known_suite(3)).work["seconds"] <= perf_counter() - started
 
 
 def test_enumeration_sees_schedules_beyond_the_first_block_of_numbers():
