@@ -807,8 +807,8 @@ def _comparisons(result: Result) -> list[str]:
         q, formula = QUANTITIES.index(quantity), f"({new} - {old}) / |{old}|"
         row = f"{quantity.replace('_', ' ')}, {formula}".ljust(56)
         for means in sources:
-            change, base = means[new][q] - means[old][q], abs(means[old][q])
-            row += f"{100 * change / base:+9.1f}%" if base else f"{'-':>10}"
+            change, base = float(means[new][q] - means[old][q]), float(abs(means[old][q]))
+            row += f"{change / base:+10.1%}" if abs(change) < 1e300 * base else f"{'-':>10}"
         if log or not said:
             lines += [row, f"    in the paper: {said}"][: 1 + bool(said)]
     return lines + READING[result.settings.experiment] * bool(log)

@@ -997,7 +997,7 @@ def called(row, **changes):
     finally:
         plt.close("all")  # what a spoiled call left half drawn
         for name, array in before.items():
-            np.testing.assert_array_equal(given[name], array, err_msg=f"{name} was modified")
+            np.testing.assert_array_equal(np.asarray(given[name]), array, f"{name} was modified")
 
 
 def is_array(value):
