@@ -515,7 +515,7 @@ def test_the_report_recomputes_the_published_percentages_from_the_log(published)
 def test_percentages_of_next_to_nothing_do_not_overflow(capsys):
     argv = "--preset textbook --alpha 1e-300 --upsilon 1e14 --horizon 1 --trials 2 --no-figures"
     assert main(argv.split()) == 0  # by default, a warning is an error here
-    assert "inf" not in capsys.readouterr().out
+    assert "inf%" not in capsys.readouterr().out
 
 
 def test_figures_go_to_a_folder_of_that_name_unless_told_otherwise(tmp_path, monkeypatch):
