@@ -518,6 +518,11 @@ def test_percentages_of_next_to_nothing_do_not_overflow(capsys):
     assert "inf%" not in capsys.readouterr().out
 
 
+def test_what_is_not_said_is_as_published():
+    assert preset().unit == preset("published", 150).unit != preset("textbook").unit == "ft"
+    assert len(preset().prior_mean) == 150
+
+
 def test_figures_go_to_a_folder_of_that_name_unless_told_otherwise(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert main([*TINY, "--quiet"]) == 0
