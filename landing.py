@@ -866,8 +866,10 @@ STYLE: Any = {
     "mathtext.fontset": "cm",
 }
 #: Axes of perception cost, by `COSTS`.
-PRICE = {"linear": "sum of $w \\Upsilon$", "counted": "operations"}
-PRICE = {cost: f"perception cost ({what})" for cost, what in PRICE.items()}
+PRICE = {
+    "linear": "perception cost (sum of $w \\Upsilon$)",
+    "counted": "perception cost (operations)",
+}
 #: Colours of Okabe and Ito, which the colour-blind tell apart, and markers, hollow if infeasible.
 LOOK: dict[str, dict[str, Any]] = {
     "Oracle": {"color": "#000000", "marker": "o", "fillstyle": "none"},
@@ -1029,10 +1031,8 @@ def plot_psi(task: ControlTask) -> Figure:
 @_styled()
 def plot_gallery(seed: int = 0) -> Figure:
     """Draw three landings of a `seed`, as seen (``fig:airsim_env``, ``fig:airsim_dataset``)."""
-    altitude, seed = (
-        np.array([100.0, 60, 35, 20, 10, 5, 2, 0]),
-        ms.check_count("seed", seed, minimum=0),
-    )
+    seed = ms.check_count("seed", seed, minimum=0)
+    altitude = np.array([100.0, 60, 35, 20, 10, 5, 2, 0])
     rng, N = np.random.default_rng(seed), len(altitude)
     figure, panels = plt.subplots(4, N, figsize=(16, 8.6))
     worlds = draw_scenes(3, rng)
