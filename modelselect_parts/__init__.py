@@ -1,0 +1,16 @@
+"""What the three modules stand on; each room uses only rooms above it.
+
+===============  ==============================================================================
+checks           the one checker of arguments, the types of array
+regulator        paper II: the task, its controllers, what each knows, and Psi
+trellis          the certificate, on bare arrays
+descent          projected gradient with its duality gap
+interior_point   the fast relaxation, on bare arrays
+label_search     the exact search, on bare arrays
+blends           paper V: Problem 4
+camera           pictures of a helipad
+networks         small networks and how they learn
+figures          every picture, from arrays
+flights          landing by what networks see in pictures
+===============  ==============================================================================
+"""
