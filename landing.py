@@ -243,9 +243,7 @@ class Settings:
             if name in NAMES:
                 _check_name(name, value, NAMES[name])
             if name in ("horizon", "trials", "seed"):
-                # One more step: Psi at horizon 10^4.  One more trial: the errors of all models.
-                each = 8 * self.horizon if name == "trials" else 10**5 * (name == "horizon")
-                value = ms.check_count(name, value, minimum=int(name != "seed"), each=each)
+                value = ms.check_count(name, value, minimum=int(name != "seed"))
             if name in ("alpha", "beta") or (name == "upsilon" and value is not None):
                 value = ms.check_number(name, value, minimum=0)
             object.__setattr__(self, name, value)
@@ -388,7 +386,7 @@ def pareto(
     exceeds P- by at most r C-: so r = 0.01 (P+ - P-) / C- to 100 (P+ - P-) / C+ reaches both
     ends to 1%.  Weighted sums find the corners of the front's convex hull, nothing in between.
     """
-    points = ms.check_count("points", points, each=len(problem.mean))
+    points = ms.check_count("points", points)
     ends = [ms.solve(replace(problem, alpha=a, beta=1 - a)).choices for a in (1.0, 0.0)]
     (least, most), (dear, cheap) = problem.control_term(ends), problem.perception_term(ends)
     span, ratio = dear - cheap, np.ones(1)
@@ -576,7 +574,7 @@ def sample_sizes(
     assert trained is not None
     rng = np.random.default_rng([result.settings.seed, 1])
     old, cost, W = trained.residuals, result.suite.cost, len(trained.networks)
-    fresh, repeats = ms.check_count("fresh", fresh), ms.check_count("repeats", repeats, each=1)
+    fresh, repeats = ms.check_count("fresh", fresh), ms.check_count("repeats", repeats)
     counts = [
         ms.check_count("sizes", n, minimum=2) for n in ms.check_array("sizes", sizes, "n", (None,))
     ]

@@ -67,14 +67,39 @@ import numpy as np
 import numpy.typing as npt
 import scipy.linalg as la
 
-Array = npt.NDArray[np.float64]
-Choices = npt.NDArray[np.intp]
+from modelselect_parts.blends import Blend, BlendProblem, sdp_blocks, solve_blend
+from modelselect_parts.checks import (
+    MATRIX_TOLERANCE,
+    Array,
+    Choices,
+    Frozen,
+    as_numbers,
+    check_array,
+    check_choices,
+    check_count,
+    check_number,
+    check_semidefinite,
+    frozen,
+    semidefinite_root,
+    shown,
+)
+from modelselect_parts.descent import project_to_simplex, projected_gradient
+from modelselect_parts.regulator import (
+    INFORMATION,
+    ControlTask,
+    Riccati,
+    check_information,
+    control_cost,
+    plan,
+    preview_regret,
+    psi,
+    riccati,
+    run_controller,
+)
 
-INFORMATION = ("open_loop", "preview", "causal", "measurement")
+__version__ = "0.2.0"
 
-# A matrix of unit diagonal counts as symmetric, and an eigenvalue per row as non-negative, up to
-# this: a thousand times what rounding leaves behind in a product of double-precision matrices.
-MATRIX_TOLERANCE = 1e-12
+
 # A schedule counts as optimal when its relative gap is at most this.
 OPTIMALITY_GAP = 1e-9
 # Passes of `dynamic_program`: labels kept a step.
@@ -82,619 +107,6 @@ WIDTHS = [64 * 16**k for k in range(8)]
 # `dynamic_program` merges labels and truncates offsets up to this fraction of the cost.
 ROUNDING = 1e-10
 # Most numbers in one array, 8 GB: what needs more is refused before memory runs out.
-MOST_NUMBERS = 10**9
-
-
-# ----------------------------------------------------------------------------- the checker
-
-
-def as_numbers(name: str, value: npt.ArrayLike) -> npt.NDArray[Any]:
-    """Return `value` as an array of real numbers, or raise ValueError that opens with `name`."""
-    if np.ma.is_masked(value):
-        raise ValueError(f"{name}: expected all entries, found a masked array")
-    try:
-        raw = np.asarray(value)
-    except ValueError:
-        raise ValueError(f"{name}: expected a rectangular array, found ragged sequences") from None
-    if raw.dtype.kind not in "biuf":
-        raise ValueError(f"{name}: expected real numbers, found dtype {raw.dtype}")
-    return raw
-
-
-def shown(value: object) -> str:
-    """Return `value` as it stands in a message: on one line, and not too long."""
-    text = " ".join(repr(value).split())
-    return text if len(text) <= 80 else text[:77] + "..."
-
-
-def check_array(
-    name: str, value: npt.ArrayLike, axes: str, sizes: Sequence[int | None], *, finite: bool = True
-) -> Array:
-    """Return `value` as a read-only float copy, or say in one line what is wrong with it.
-
-    Parameters
-    ----------
-    name : str
-        What the caller calls the argument; opens every message.
-    value : array_like, any shape
-        Real numbers: booleans, integers or floats.
-    axes : str
-        Names of the axes, such as ``"H W p"``; a leading ``...`` admits axes in front.
-    sizes : sequence of int or None
-        Expected length of each named axis, ``None`` where any positive length will do.
-    finite : bool
-        Whether infinities are refused; NaN always is.
-
-    Raises
-    ------
-    ValueError
-        Naming the argument, what was expected and what was found.
-    """
-    raw = as_numbers(name, value)
-    letters = axes.replace("...", "").split()
-    found = raw.shape[max(0, raw.ndim - len(letters)) :] if "..." in axes else raw.shape
-    fits = len(found) == len(letters) and all(
-        want is None or got == want for got, want in zip(found, sizes, strict=True)
-    )
-    if not fits or 0 in raw.shape:
-        named = ", ".join(axes.split()) + ("," if len(axes.split()) == 1 else "")
-        wanted = ["..."] * ("..." in axes) + [
-            letter if want is None else str(want)
-            for letter, want in zip(letters, sizes, strict=True)
-        ]
-        raise ValueError(
-            f"{name}: expected shape ({named}) = ({', '.join(wanted)}"
-            f"{',' if len(wanted) == 1 else ''}), found {raw.shape}"
-        )
-    array = np.array(raw, dtype=np.float64)
-    if np.isnan(array).any() or (finite and np.isinf(array).any()):
-        raise ValueError(f"{name}: expected finite numbers, found NaN or infinity")
-    return _read_only(array)
-
-
-def _read_only(array: npt.NDArray[Any]) -> npt.NDArray[Any]:
-    array.flags.writeable = False
-    return array
-
-
-def check_number(name: str, value: Any, *, minimum: float = -math.inf) -> float:
-    """Return `value`, called `name`, as a finite float >= `minimum`, or raise ValueError."""
-    number = float(check_array(name, value, "", ()))
-    if number < minimum:
-        raise ValueError(f"{name}: expected a number >= {minimum:g}, found {number:g}")
-    return number
-
-
-def check_count(name: str, value: Any, *, minimum: int = 1, each: int = 0) -> int:
-    """Return `value`, called `name`, as an int >= `minimum`, or raise ValueError saying why.
-
-    With `each`, the numbers that one more of it adds to an array, `MOST_NUMBERS` is the limit.
-    """
-    number, raw = check_number(name, value), np.asarray(value)
-    if raw.dtype == bool or number != int(number) or number < minimum:
-        raise ValueError(f"{name}: expected an integer >= {minimum}, found {shown(value)}")
-    if number * each > MOST_NUMBERS:
-        raise ValueError(
-            f"{name}: expected at most {MOST_NUMBERS // each}, for lack of memory, found {value}"
-        )
-    return int(raw)  # of `number`, the last digits of a large integer are lost
-
-
-def check_semidefinite(name: str, matrices: Array, *, definite: bool = False) -> None:
-    """Raise ValueError unless all `matrices` (..., k, k) are symmetric positive semidefinite.
-
-    Judged after scaling the diagonal to 1 (`MATRIX_TOLERANCE`), so that the units of cost and
-    perception do not matter, nor that they differ from row to row.  With `definite`, matrices
-    that are singular up to rounding are refused as well.  Messages open with `name`.
-    """
-    k = matrices.shape[-1]
-    scale = np.sqrt(np.abs(np.diagonal(matrices, axis1=-2, axis2=-1)))
-    scale = np.where(scale > 0, scale, 1)
-    with np.errstate(over="ignore", invalid="ignore"):
-        scaled = matrices / scale[..., None] / scale[..., None, :]
-        skew = np.abs(scaled - np.swapaxes(scaled, -1, -2)).max()
-    if skew > MATRIX_TOLERANCE:
-        raise ValueError(
-            f"{name}: expected a symmetric matrix, found asymmetry {skew:.3g}; "
-            f"symmetrise it first: ({name} + {name}.T) / 2"
-        )
-    # Entries that overflow exceed their diagonal by far: the matrix is indefinite.
-    finite = np.isfinite(scaled).all()
-    smallest = np.linalg.eigvalsh(scaled)[..., 0].min() if finite else -math.inf
-    if smallest <= (10 * np.finfo(float).eps if definite else -MATRIX_TOLERANCE) * k:
-        kind = "positive definite" if definite else "positive semidefinite"
-        raise ValueError(
-            f"{name}: expected a {kind} matrix, found smallest eigenvalue {smallest:.3g} "
-            "(of the matrix scaled to unit diagonal)"
-        )
-
-
-def check_information(information: str) -> None:
-    """Raise ValueError unless `information` names one of the four patterns."""
-    if not isinstance(information, str) or information not in INFORMATION:
-        raise ValueError(
-            f"information: expected one of {', '.join(INFORMATION)}, found {shown(information)}"
-        )
-
-
-# ------------------------------------------------------- the control task and its controllers
-
-
-@dataclass(frozen=True, eq=False)
-class ControlTask:
-    """A linear-quadratic control task with a perception input.
-
-    x_{t+1} = A x_t + B u_t + C s_t for t = 0..H-1 (``eq:dynamics``), with cost
-    J = sum_{t=1}^{H-1} x_t'Q x_t + x_H'Q_final x_H + sum_{t=0}^{H-1} u_t'R u_t: ``eq:jc``, with
-    its terminal state read as x_H and the constant x_0'Q x_0 left out.
-
-    Every matrix is constant, or varies with time and then has a leading axis of length H.
-    A square array given transposed has the right shape and cannot be caught.
-
-    Parameters
-    ----------
-    A : array_like, (n, n) or (H, n, n)
-        Dynamics.
-    B : array_like, (n, m) or (H, n, m)
-        Effect of the control.
-    C : array_like, (n, p) or (H, n, p)
-        Effect of the perception input.
-    Q : array_like, (n, n) or (H, n, n)
-        State cost, positive semidefinite; Q_t weighs x_t, so Q_0 is never used.
-    R : array_like, (m, m) or (H, m, m)
-        Control cost, positive definite.
-    horizon : int
-        Number of steps H >= 1.
-    Q_final : array_like, (n, n), optional
-        Terminal state cost, positive semidefinite; `Q` if that is constant, else required.
-
-    Raises
-    ------
-    ValueError
-        A wrong shape, a number that is not finite, an asymmetric or indefinite cost.
-
-    Examples
-    --------
-    Position and speed, pushed by a motor and by a wind that is estimated:
-
-    >>> A, B, C = [[1, 0.1], [0, 1]], [[0], [0.1]], [[0], [0.1]]
-    >>> task = ControlTask(A, B, C, Q=np.diag([1, 0]), R=[[0.1]], horizon=50)
-    >>> task.n, task.m, task.p
-    (2, 1, 1)
-    """
-
-    A: Array
-    B: Array
-    C: Array
-    Q: Array
-    R: Array
-    horizon: int
-    Q_final: Array | None = None
-
-    def __post_init__(self) -> None:
-        raw = {name: as_numbers(name, getattr(self, name)) for name in "ABCQR"}
-        n, m, p = ((raw[name].shape[-1:] or (None,))[0] or None for name in "ABC")
-        each = max(n or 1, m or 1, p or 1) ** 2
-        H = check_count("horizon", self.horizon, each=each)
-        sizes = {"H": H, "n": n, "m": m, "p": p}
-        checked: dict[str, Any] = {"horizon": H}
-        for name, axes in {"A": "n n", "B": "n m", "C": "n p", "Q": "n n", "R": "m m"}.items():
-            axes = "H " + axes if raw[name].ndim == 3 else axes
-            lengths = [sizes[letter] for letter in axes.split()]
-            checked[name] = check_array(name, raw[name], axes, lengths)
-        if self.Q_final is None and checked["Q"].ndim == 3:
-            raise ValueError("Q_final: required when Q varies with time, found None")
-        final = checked["Q"] if self.Q_final is None else self.Q_final
-        checked["Q_final"] = check_array("Q_final", final, "n n", (n, n))
-        check_semidefinite("Q", checked["Q"])
-        check_semidefinite("Q_final", checked["Q_final"])
-        check_semidefinite("R", checked["R"], definite=True)
-        for name, value in checked.items():
-            object.__setattr__(self, name, value)
-
-    @property
-    def n(self) -> int:
-        """Dimension of the state."""
-        return int(self.A.shape[-1])
-
-    @property
-    def m(self) -> int:
-        """Dimension of the control."""
-        return int(self.B.shape[-1])
-
-    @property
-    def p(self) -> int:
-        """Dimension of the perception input."""
-        return int(self.C.shape[-1])
-
-    def over_time(self) -> tuple[Array, Array, Array, Array, Array]:
-        """Return A, B, C, Q, R with a time axis: 0..H-1, but 0..H for Q, whose last is Q_final."""
-        H = self.horizon
-        A, B, C, Q, R = (
-            np.broadcast_to(M, (H, *M.shape[-2:])) for M in (self.A, self.B, self.C, self.Q, self.R)
-        )
-        return A, B, C, np.concatenate([Q, np.asarray(self.Q_final)[None]]), R
-
-
-class Riccati(NamedTuple):
-    """The backward recursion of the linear-quadratic regulator (see `riccati`)."""
-
-    P: Array  #: (H+1, n, n), cost-to-go x_t'P_t x_t
-    S: Array  #: (H, m, m), R + B'P_{t+1}B
-    K: Array  #: (H, m, n), feedback u_t = -K_t x_t
-    closed_loop: Array  #: (H, n, n), A - B K_t
-
-
-def riccati(task: ControlTask) -> Riccati:
-    """Solve the finite-horizon Riccati recursion.
-
-    P_H = Q_final, S_t = R + B'P_{t+1}B, K_t = S_t^{-1}B'P_{t+1}A, P_t = Q + A'P_{t+1}(A - B K_t).
-
-    Parameters
-    ----------
-    task : ControlTask
-        The task.
-
-    Returns
-    -------
-    Riccati
-        P (H+1, n, n), S (H, m, m), K (H, m, n) and closed_loop (H, n, n).
-
-    Raises
-    ------
-    ValueError
-        If the cost-to-go overflows, as some growing mode is out of the control's reach; or if
-        R is lost in rounding beside B'PB, so that nothing tells redundant controls apart.
-    """
-    A, B, _, Q, R = task.over_time()
-    H = task.horizon
-    P, S = Q.copy(), np.empty((H, task.m, task.m))
-    K, closed_loop = np.empty((H, task.m, task.n)), np.empty((H, task.n, task.n))
-    with np.errstate(over="ignore", invalid="ignore"):
-        for t in reversed(range(H)):
-            S[t] = R[t] + B[t].T @ P[t + 1] @ B[t]
-            if _lost(S[t]):
-                raise ValueError(
-                    f"task: R is lost in rounding beside B'PB at step {t} of {H}, so that controls "
-                    "of equal effect cannot be told apart; raise R, or merge those controls"
-                )
-            K[t] = np.linalg.solve(S[t], B[t].T @ P[t + 1] @ A[t])
-            closed_loop[t] = A[t] - B[t] @ K[t]
-            P[t] = Q[t] + A[t].T @ P[t + 1] @ closed_loop[t]
-            P[t] = (P[t] + P[t].T) / 2
-            if not (np.isfinite(P[t]).all() and np.isfinite(S[t]).all()):
-                raise ValueError(
-                    f"task: the cost-to-go overflows at step {t} of {H}; a mode of A that the "
-                    "control cannot reach grows too fast: shorten the horizon or rescale"
-                )
-    return Riccati(P, S, K, closed_loop)
-
-
-def _lost(S: Array) -> bool:
-    """Whether a finite S (m, m), scaled to unit diagonal, is singular up to rounding."""
-    if len(S) == 1 or not np.isfinite(S).all():
-        return False
-    scale = S.diagonal() ** -0.5
-    return bool(np.linalg.eigvalsh(scale[:, None] * S * scale)[0] < MATRIX_TOLERANCE)
-
-
-def _costate(task: ControlTask, law: Riccati, s: Array) -> Array:
-    """q_t = closed_loop_t'(P_{t+1}C s_t + q_{t+1}), q_H = 0: what the forecast s asks of u_{t-1}.
-
-    s is (..., H, p), q is (..., H+1, n); vectors are rows, so a matrix acts from the right.
-    """
-    C = task.over_time()[2]
-    q = np.zeros((*s.shape[:-2], task.horizon + 1, task.n))
-    with np.errstate(over="ignore", invalid="ignore"):  # seen in the states, and refused there
-        for t in reversed(range(task.horizon)):
-            push = s[..., t, :] @ (law.P[t + 1] @ C[t]).T + q[..., t + 1, :]
-            q[..., t, :] = push @ law.closed_loop[t]
-    return q
-
-
-def plan(task: ControlTask, x0: npt.ArrayLike, s: npt.ArrayLike) -> Array:
-    """Plan all controls at t = 0 from a forecast: u = -K^{-1}(M'Q F x_0 + L s).
-
-    Computed without the stacked matrices of `psi`: while a forecast is right, planning once and
-    feeding back the state give the same controls, so we run the feedback law on the forecast.
-
-    Parameters
-    ----------
-    task : ControlTask
-        The task.
-    x0 : array_like, (n,)
-        Initial state.
-    s : array_like, (..., H, p)
-        Forecast of the perception input; leading axes are trials.
-
-    Returns
-    -------
-    ndarray, (..., H, m)
-        The controls.
-
-    Raises
-    ------
-    ValueError
-        A wrong shape or a number that is not finite.
-    """
-    return run_controller(task, x0, s, s, "preview")[1]
-
-
-def run_controller(
-    task: ControlTask,
-    x0: npt.ArrayLike,
-    s: npt.ArrayLike,
-    s_hat: npt.ArrayLike,
-    information: str = "open_loop",
-    prior_mean: npt.ArrayLike | None = None,
-) -> tuple[Array, Array]:
-    """Roll out the dynamics under true input `s` and a controller that is fed `s_hat`.
-
-    What the controller knows, and when, is its information pattern:
-
-    - ``open_loop``: u = plan(s_hat), all of it fixed at t = 0 (the authors' code);
-    - ``preview``: u_t = -K_t x_t - S_t^{-1}B'(P_{t+1}C s_hat_t + q_{t+1}(s_hat)), the true state
-      fed back and the rest of the forecast used (the paper's text);
-    - ``causal``: the same with q_{t+1}(prior_mean), as only s_hat_t is known at step t;
-    - ``measurement``: u_t = -K_t (x_t + C (s_hat_t - s_t)): the models measure the state.
-
-    Parameters
-    ----------
-    task : ControlTask
-        The task.
-    x0 : array_like, (n,)
-        Initial state.
-    s, s_hat : array_like, (..., H, p)
-        True and estimated perception inputs; leading axes are trials.
-    information : str
-        One of `INFORMATION`.
-    prior_mean : array_like, (H, p), optional
-        What ``causal`` expects of the inputs it has not seen; 0 by default.
-
-    Returns
-    -------
-    states : ndarray, (..., H+1, n)
-        x_0 first.
-    controls : ndarray, (..., H, m)
-
-    Raises
-    ------
-    ValueError
-        A wrong shape, a number that is not finite, an unknown pattern, or a prior mean given to
-        a pattern that does not use one.
-    """
-    check_information(information)
-    H, n, p = task.horizon, task.n, task.p
-    x = check_array("x0", x0, "n", (n,))
-    s = check_array("s", s, "... H p", (H, p))
-    s_hat = check_array("s_hat", s_hat, "... H p", (H, p))
-    if s.shape != s_hat.shape:
-        raise ValueError(f"s_hat: expected the shape of s, {s.shape}, found {s_hat.shape}")
-    if prior_mean is not None and information != "causal":
-        raise ValueError(f"prior_mean: used only by 'causal', found with {information!r}")
-    if information == "open_loop":
-        planned = plan(task, x, s_hat)
-        return _simulate(task, x, s, lambda t, _: planned[..., t, :])
-
-    _, B, C, _, _ = task.over_time()
-    law = riccati(task)
-    if information == "measurement":
-        e = s_hat - s
-        return _simulate(task, x, s, lambda t, x: -(x + e[..., t, :] @ C[t].T) @ law.K[t].T)
-    forecast = s_hat
-    if information == "causal":
-        prior_mean = np.zeros((H, p)) if prior_mean is None else prior_mean
-        forecast = check_array("prior_mean", prior_mean, "H p", (H, p))
-    q = _costate(task, law, forecast)
-    gain = np.linalg.solve(law.S, np.swapaxes(B, -1, -2))
-
-    def feedback(t: int, x: Array) -> Array:
-        push = s_hat[..., t, :] @ (law.P[t + 1] @ C[t]).T + q[..., t + 1, :]
-        return np.asarray(-x @ law.K[t].T - push @ gain[t].T)
-
-    return _simulate(task, x, s, feedback)
-
-
-def _simulate(
-    task: ControlTask, x0: Array, s: Array, policy: Callable[[int, Array], Array]
-) -> tuple[Array, Array]:
-    """Roll out x_{t+1} = A x_t + B u_t + C s_t with u_t = policy(t, x_t)."""
-    A, B, C, _, _ = task.over_time()
-    states = np.empty((*s.shape[:-2], task.horizon + 1, task.n))
-    controls = np.empty((*s.shape[:-2], task.horizon, task.m))
-    states[..., 0, :] = x0
-    with np.errstate(over="ignore", invalid="ignore"):
-        for t in range(task.horizon):
-            x, u = states[..., t, :], policy(t, states[..., t, :])
-            controls[..., t, :] = u
-            states[..., t + 1, :] = x @ A[t].T + u @ B[t].T + s[..., t, :] @ C[t].T
-    if not np.isfinite(states).all():
-        raise ValueError("task: the states overflow; shorten the horizon or rescale the inputs")
-    return states, controls
-
-
-def control_cost(task: ControlTask, states: npt.ArrayLike, controls: npt.ArrayLike) -> Any:
-    """Cost of a roll-out: sum_{t=1}^{H} x_t'Q_t x_t + sum_{t=0}^{H-1} u_t'R_t u_t (``eq:jc``).
-
-    Parameters
-    ----------
-    task : ControlTask
-        The task.
-    states : array_like, (..., H+1, n)
-        x_0 first; it is not charged.
-    controls : array_like, (..., H, m)
-        The controls.
-
-    Returns
-    -------
-    float, or ndarray of the leading axes
-        The control cost J.
-
-    Raises
-    ------
-    ValueError
-        A wrong shape or a number that is not finite.
-    """
-    H = task.horizon
-    x = check_array("states", states, "... H+1 n", (H + 1, task.n))[..., 1:, :]
-    u = check_array("controls", controls, "... H m", (H, task.m))
-    if u.shape[:-2] != x.shape[:-2]:
-        raise ValueError(
-            f"controls: expected the leading axes of states, {x.shape[:-2]}, found {u.shape[:-2]}"
-        )
-    _, _, _, Q, R = task.over_time()
-    with np.errstate(over="ignore", invalid="ignore"):
-        over_states = np.einsum("...ti,tij,...tj->...", x, Q[1:], x)
-        cost = over_states + np.einsum("...ti,tij,...tj->...", u, R, u)
-    if not np.isfinite(cost).all():
-        raise ValueError("states: the cost overflows, or that of controls does; rescale")
-    return cost
-
-
-# -------------------------------------------------------------------- Psi, the sensitivity
-
-
-def psi(task: ControlTask, information: str = "open_loop") -> Array:
-    """Sensitivity of the control cost to perception errors (``eq:control_cost_diff``).
-
-    J(controller fed s + e) - J(controller fed s) = e' Psi e, with Psi = L'K^{-1}L, free of x_0:
-    for every realisation under ``open_loop`` and ``preview``; under ``causal`` and
-    ``measurement`` in expectation over inputs that are independent of e, with the controller's
-    prior mean (``measurement``: zero) as their mean.  The patterns are those of `run_controller`.
-
-    Parameters
-    ----------
-    task : ControlTask
-        The task.
-    information : str
-        One of `INFORMATION`.
-
-    Returns
-    -------
-    ndarray, (pH, pH)
-        Symmetric positive semidefinite, in cost per squared unit of perception.
-        Block diagonal under ``causal`` and ``measurement``.
-
-    Raises
-    ------
-    ValueError
-        An unknown pattern, or dynamics so unstable that Psi is out of reach of double precision.
-
-    Examples
-    --------
-    Of an integrator: errors cost more if they come early, and add up if they have one sign.
-
-    >>> one = np.eye(1)
-    >>> psi(ControlTask(A=one, B=one, C=one, Q=one, R=one, horizon=2))
-    array([[1.4, 0.8],
-           [0.8, 0.6]])
-    """
-    check_information(information)
-    stacked = 1 if information != "open_loop" else task.n  # open loop, all states are held at once
-    check_count(
-        "task: horizon", task.horizon, each=task.horizon * stacked * max(task.m, task.p) ** 2
-    )
-    with np.errstate(over="ignore", invalid="ignore"):
-        if information in ("causal", "measurement"):
-            Psi = la.block_diag(*_diagonal_blocks(task, information))
-        else:
-            Y = _open_loop_factor(task) if information == "open_loop" else _preview_factor(task)
-            Psi = Y.T @ Y
-    if not np.isfinite(Psi).all():
-        raise ValueError("task: Psi overflows; rescale the costs or C, or shorten the horizon")
-    return np.asarray(Psi)
-
-
-def _open_loop_factor(task: ControlTask) -> Array:
-    """Y with Psi = Y'Y = L'K^{-1}L, K = blkdiag(R) + M'QM, L = M'QN on stacked states.
-
-    The stacked states are X = F x_0 + M u + N s; row block t of M and N is A times the row block
-    before it, plus B or C at place t.  With the Cholesky factor K = GG', Y = G^{-1}L.
-    """
-    A, B, C, Q, R = task.over_time()
-    H, n, m, p = task.horizon, task.n, task.m, task.p
-    M, N = np.zeros((H, n, H, m)), np.zeros((H, n, H, p))
-    for t in range(H):
-        if t > 0:
-            M[t], N[t] = (np.tensordot(A[t], Z[t - 1], axes=1) for Z in (M, N))
-        M[t, :, t], N[t, :, t] = B[t], C[t]
-    QM = np.matmul(Q[1:], M.reshape(H, n, H * m)).reshape(H * n, H * m)
-    K = la.block_diag(*R) + QM.T @ M.reshape(H * n, H * m)
-    L = QM.T @ N.reshape(H * n, H * p)
-    try:
-        G = la.cholesky((K + K.T) / 2, lower=True)
-        return np.asarray(la.solve_triangular(G, L, lower=True))
-    except (la.LinAlgError, ValueError):
-        raise ValueError(
-            "task: planning open loop over this horizon is out of reach of double precision, as A "
-            "is too unstable or R too small; use information='preview', a shorter horizon or more R"
-        ) from None
-
-
-def _preview_factor(task: ControlTask) -> Array:
-    """Y with Psi = Y'Y: row block t is G_t^{-1}B'h_t, S_t = G_t G_t', as a linear map of e.
-
-    h_t = P_{t+1}C e_t + closed_loop_{t+1}'h_{t+1}: the recursion of `preview_regret`, carried
-    out on all of e at once, so block upper triangular.
-    """
-    _, B, C, _, _ = task.over_time()
-    H, n, m, p = task.horizon, task.n, task.m, task.p
-    law = riccati(task)
-    Y, h = np.zeros((H, m, H * p)), np.zeros((n, H * p))
-    for t in reversed(range(H)):
-        h[:, t * p : (t + 1) * p] = law.P[t + 1] @ C[t]
-        Y[t] = np.linalg.solve(np.linalg.cholesky(law.S[t]), B[t].T @ h)
-        h = np.asarray(law.closed_loop[t].T @ h)
-    return Y.reshape(H * m, H * p)
-
-
-def _diagonal_blocks(task: ControlTask, information: str) -> Array:
-    """Psi_tt = (K_t C)'S_t(K_t C) for ``measurement``, C'P B S_t^{-1}B'P C for ``causal``."""
-    _, B, C, _, _ = task.over_time()
-    law = riccati(task)
-    pull: npt.NDArray[Any] = law.K @ C
-    if information == "causal":
-        pull = np.linalg.solve(law.S, np.swapaxes(B, -1, -2) @ law.P[1:] @ C)
-    blocks = np.swapaxes(pull, -1, -2) @ law.S @ pull
-    return np.asarray((blocks + np.swapaxes(blocks, -1, -2)) / 2)
-
-
-def preview_regret(task: ControlTask, errors: npt.ArrayLike) -> Any:
-    """e' Psi e of the ``preview`` pattern without Psi: O(H n^2) a trial, after `riccati`.
-
-    h_t = P_{t+1}C e_t + q_{t+1}, q_t = closed_loop_t'h_t, regret = sum_t (B'h_t)'S_t^{-1}(B'h_t).
-
-    Parameters
-    ----------
-    task : ControlTask
-        The task.
-    errors : array_like, (..., H, p)
-        Perception errors s_hat - s; leading axes are trials.
-
-    Returns
-    -------
-    float, or ndarray of the leading axes
-        Extra control cost caused by the errors.
-
-    Raises
-    ------
-    ValueError
-        A wrong shape or a number that is not finite.
-    """
-    e = check_array("errors", errors, "... H p", (task.horizon, task.p))
-    _, B, C, _, _ = task.over_time()
-    law = riccati(task)
-    q = _costate(task, law, e)
-    regret = np.zeros(e.shape[:-2])
-    with np.errstate(over="ignore", invalid="ignore"):
-        for t in range(task.horizon):
-            B_h = (e[..., t, :] @ (law.P[t + 1] @ C[t]).T + q[..., t + 1, :]) @ B[t]
-            regret += ((B_h @ np.linalg.inv(law.S[t])) * B_h).sum(axis=-1)
-    if not np.isfinite(regret).all():
-        raise ValueError("errors: the regret overflows; rescale the errors or the costs")
-    return regret[()]
-
-
 # -------------------------------------------------------------------- the selection problem
 
 
@@ -719,7 +131,7 @@ def one_hot(choices: npt.ArrayLike, models: int) -> Array:
         A choice that is not an integer in 0..W-1.
     """
     H = np.size(check_array("choices", choices, "H", (None,)))
-    W = check_count("models", models, each=H)
+    W = check_count("models", models)
     return np.where(check_choices(choices, H, W)[:, None] == np.arange(W), 1.0, 0.0)
 
 
@@ -746,16 +158,8 @@ def from_one_hot(weights: npt.ArrayLike) -> Choices:
     return np.asarray(b.argmax(axis=1))
 
 
-def check_choices(choices: npt.ArrayLike, H: int | None, W: int) -> Choices:
-    """Return choices (..., H) as integers from 0 to W - 1, or raise ValueError saying why."""
-    c = check_array("choices", choices, "... H", (H,))
-    if np.any((c != np.floor(c)) | (c < 0) | (c >= W)):
-        raise ValueError(f"choices: expected integers from 0 to {W - 1}, found others")
-    return c.astype(np.intp)
-
-
 @dataclass(frozen=True, eq=False)
-class SelectionProblem:
+class SelectionProblem(Frozen):
     """Which model to run at each step (``prob:model_selection_expectation``).
 
     E[total](c) = alpha (mu_c' Psi mu_c + sum_t trace(Psi_tt Sigma[t, w_t]))
@@ -839,26 +243,26 @@ class SelectionProblem:
     @cached_property
     def quadratic(self) -> Array:
         """Return alpha Psi, (pH, pH)."""
-        return _read_only(self.alpha * self.psi)
+        return frozen(self.alpha * self.psi)
 
     @cached_property
     def blocks(self) -> Array:
         """Diagonal blocks Psi_tt, (H, p, p)."""
         H, _, p = self.mean.shape
-        return _read_only(self.psi.reshape(H, p, H, p)[np.arange(H), :, np.arange(H)])
+        return frozen(self.psi.reshape(H, p, H, p)[np.arange(H), :, np.arange(H)])
 
     @cached_property
     def spread(self) -> Array:
         """What the variances add to the control term, trace(Psi_tt Sigma[t,w]), (H, W)."""
         over = "tij,twji->tw" if self.variance.ndim == 4 else "tii,twi->tw"
-        return _read_only(np.einsum(over, self.blocks, self.variance))
+        return frozen(np.einsum(over, self.blocks, self.variance))
 
     @cached_property
     def linear(self) -> Array:
         """Linear cost l[t,w] = alpha trace(Psi_tt Sigma[t,w]) + beta kappa[t,w], (H, W)."""
         unavailable = np.isinf(self.model_cost)  # also where beta = 0
         priced = self.beta * np.where(unavailable, 0, self.model_cost)
-        return _read_only(self.alpha * self.spread + np.where(unavailable, np.inf, priced))
+        return frozen(self.alpha * self.spread + np.where(unavailable, np.inf, priced))
 
     @cached_property
     def rounding(self) -> float:
@@ -903,7 +307,7 @@ class SelectionProblem:
 
 
 @dataclass(frozen=True, eq=False)
-class Schedule:
+class Schedule(Frozen):
     """A schedule with its proof: every solver returns one.
 
     Parameters
@@ -1054,8 +458,8 @@ def _certified(
     **work: Any,
 ) -> Schedule:
     """Make a Schedule: the root bound from the reference, the better of it and `proved`."""
-    c = _read_only(np.array(choices, dtype=np.intp))
-    d = _read_only(np.array(reference))
+    c = frozen(np.array(choices, dtype=np.intp))
+    d = frozen(np.array(reference))
     cost, root = float(problem.total_cost(c)), reference_bound(problem, d)[0]
     return Schedule(c, cost, min(cost, max(root, proved)), root, d, solver, work)
 
@@ -1191,12 +595,6 @@ def _relaxed(
     return Relaxation(b, d, float(bound + (surplus * b).sum()), float(bound), iteration), G
 
 
-def _block_root(S: Array) -> Array:
-    """F_t (p, p) with S_t = F_t F_t', for positive semidefinite S (H, p, p)."""
-    eigenvalues, V = np.linalg.eigh(S)
-    return np.asarray(V * np.sqrt(np.maximum(eigenvalues, 0))[:, None, :])
-
-
 def _congruence(F: Array, M: Array) -> Array:
     """F'MF for symmetric M (pk, pk) and block-diagonal F, given by its blocks (k, p, p)."""
     k, p, _ = F.shape
@@ -1205,101 +603,6 @@ def _congruence(F: Array, M: Array) -> Array:
         return np.asarray(np.matmul(np.swapaxes(F, 1, 2), X.reshape(k, p, -1)).reshape(k * p, -1))
 
     return halfway(halfway(M).T)
-
-
-def project_to_simplex(points: Array) -> Array:
-    """Project each row to the nearest point with non-negative entries that sum to one.
-
-    The nearest point is max(v - h, 0); the threshold h is found by trying, from the largest
-    entry down, how many entries stay positive.
-
-    Parameters
-    ----------
-    points : array_like, (..., W)
-        Finite numbers.
-
-    Returns
-    -------
-    ndarray, (..., W)
-        Points of the simplex.
-
-    Raises
-    ------
-    ValueError
-        Points that are no finite numbers.
-    """
-    points = check_array("points", points, "... W", (None,))
-    points = points - points.max(axis=-1, keepdims=True)  # same nearest point, no lost digits
-    v = -np.sort(-points, axis=-1)
-    thresholds = (np.cumsum(v, axis=-1) - 1) / np.arange(1, v.shape[-1] + 1)
-    positive = np.count_nonzero(v > thresholds, axis=-1, keepdims=True)
-    return np.maximum(points - np.take_along_axis(thresholds, positive - 1, axis=-1), 0)
-
-
-def projected_gradient(
-    evaluate: Callable[[Array], tuple[float, float, Array]],
-    project: Callable[[Array], Array],
-    start: Array,
-    step: Array,
-    gap: float,
-    negligible: float,
-    max_iterations: int,
-) -> tuple[Array, int]:
-    """Minimise a convex quadratic over a simple set by Nesterov's accelerated projected gradient.
-
-    From a point beyond the last two iterates, step against the gradient and project.  The
-    gradient is affine, so its value beyond is extrapolated rather than computed.  Momentum is
-    dropped whenever it points uphill (O'Donoghue and Candes 2015).
-
-    Parameters
-    ----------
-    evaluate : callable
-        Point -> (value, lower bound on the minimum, gradient).
-    project : callable
-        Any array -> the nearest point of the set.
-    start : array_like, any shape
-        A point of the set.
-    step : array_like, (...) as many axes as `start`, of its lengths or 1
-        Step lengths > 0, at most 1/L in the metric in which `project` projects.
-    gap : float
-        Stop when value and bound agree to this fraction.
-    negligible : float
-        Stop as well when they differ by no more than this: by rounding.
-    max_iterations : int
-        Stop after this many steps in any case.
-
-    Returns
-    -------
-    point : ndarray
-        The last iterate.
-    iterations : int
-        Steps taken.
-
-    Raises
-    ------
-    ValueError
-        A limit out of range, or a `start` or `step` that is no array of finite numbers.
-    """
-    gap = check_number("gap", gap, minimum=0)
-    negligible = check_number("negligible", negligible, minimum=0)
-    x = older = check_array("start", start, "...", ())
-    step = check_array("step", step, "...", ())
-    axes = zip(step.shape, x.shape, strict=False)
-    if step.ndim != x.ndim or any(k not in (1, n) for k, n in axes) or step.min() <= 0:
-        raise ValueError(f"step: expected lengths > 0 for a start {x.shape}, found {step.shape}")
-    value, bound, slope = evaluate(x)
-    older_slope, momentum = slope, 1.0
-    for iteration in range(check_count("max_iterations", max_iterations)):
-        if value - bound <= max(gap * max(abs(value), abs(bound)), negligible):
-            return x, iteration
-        faster = (1 + math.sqrt(1 + 4 * momentum**2)) / 2
-        beyond = (momentum - 1) / faster
-        ahead = x + beyond * (x - older)
-        new = project(ahead - step * (slope + beyond * (slope - older_slope)))
-        uphill = ((ahead - new) / step * (new - x)).sum() > 0
-        older, older_slope, x, momentum = x, slope, new, 1.0 if uphill else faster
-        value, bound, slope = evaluate(x)
-    return x, max_iterations
 
 
 def relax(
@@ -1346,7 +649,7 @@ def relax(
     H, _, p = problem.mean.shape
     allowed = np.isfinite(problem.linear)
     D = (problem.mean - problem.mean.mean(axis=1, keepdims=True)) * allowed[..., None]
-    F = _block_root(np.einsum("twi,twj->tij", D, D))
+    F = semidefinite_root(np.einsum("twi,twj->tij", D, D))
     M = _congruence(F, problem.quadratic)
     size = M.diagonal().reshape(H, p).sum(axis=1)
     slope = np.ptp(
@@ -1489,7 +792,7 @@ def _newton_step(
     w = b / z
     total = w.sum(axis=1)
     D = mu - (np.einsum("tw,twi->ti", w, mu) / total[:, None])[:, None]
-    F = _block_root(np.einsum("twi,twj->tij", w[..., None] * D, D))
+    F = semidefinite_root(np.einsum("twi,twj->tij", w[..., None] * D, D))
     system = la.cho_factor(np.eye(k * p) + 2 * _congruence(F, M))
 
     def direction(r: Array) -> tuple[Array, Array, Array]:
@@ -2130,193 +1433,6 @@ def correlated_cost(
     mu = problem.chosen_mean(c)
     control = mu @ problem.psi @ mu + (problem.psi * joint).sum()
     return float(problem.alpha * control + problem.beta * problem.perception_term(c))
-
-
-# ----------------------------------------------- continuous choices (section V, Problem 4)
-
-
-@dataclass(frozen=True, eq=False)
-class BlendProblem:
-    """Blend the worst and the best model by c_t in [0, 1]: the paper's Problem 4.
-
-    Source: ``prob:model_selection_expectation_cont``.
-    Mean, variance and cost of the blend are (1 - c_t) times the worst model's plus c_t times the
-    best one's (``eq:perModelExpCont``, ``eq:perModelVarCont``).  In canonical form
-    (``opt:canonical``) the expected total is f(c) = c'Psi'c + linear'c + constant with
-    Psi' = alpha D'Psi D, where column t of D (pH, H) holds delta_t = mu[t, best] - mu[t, worst].
-    Psi' is positive semidefinite for every suite, as x'Psi'x = alpha |(Dx)|_Psi^2: a convex
-    problem over a box.
-
-    Parameters
-    ----------
-    problem : SelectionProblem
-        Its model costs set the price of the best model; both models available at every step.
-    worst, best : int
-        The two models blended.
-
-    Raises
-    ------
-    ValueError
-        A model that does not exist or is not available.
-    """
-
-    problem: SelectionProblem
-    worst: int = 0
-    best: int = -1
-
-    def __post_init__(self) -> None:
-        W = self.problem.mean.shape[1]
-        for name in ("worst", "best"):
-            w = check_count(name, getattr(self, name), minimum=-W)
-            if w >= W or not np.isfinite(self.problem.linear[:, w]).all():
-                raise ValueError(f"{name}: expected an available model of {W}, found {w}")
-            object.__setattr__(self, name, w % W)
-
-    @cached_property
-    def _differences(self) -> Array:
-        """D, (pH, H)."""
-        delta = self.problem.mean[:, self.best] - self.problem.mean[:, self.worst]
-        return np.asarray(la.block_diag(*delta[:, :, None]))
-
-    def _mean(self, c: Array) -> Array:
-        """Mean errors (..., pH) of blends (..., H)."""
-        mu, c = self.problem.mean, c[..., None]
-        mixed = (1 - c) * mu[:, self.worst] + c * mu[:, self.best]
-        return np.asarray(mixed.reshape(*c.shape[:-2], -1))
-
-    @cached_property
-    def quadratic(self) -> Array:
-        """Psi', (H, H)."""
-        D = self._differences
-        return np.asarray(D.T @ self.problem.quadratic @ D)
-
-    @cached_property
-    def linear(self) -> Array:
-        """Linear term of f, (H,)."""
-        mu, ell = self.problem.mean[:, self.worst].ravel(), self.problem.linear
-        pull = 2 * self._differences.T @ self.problem.quadratic @ mu
-        return np.asarray(pull + ell[:, self.best] - ell[:, self.worst])
-
-    @cached_property
-    def constant(self) -> float:
-        """f(0): the worst model throughout."""
-        return float(self.problem.total_cost(np.full(len(self.linear), self.worst)))
-
-    def total_cost(self, blend: npt.ArrayLike) -> Any:
-        """Return f(c) of `blend` (..., H): 0 <= c_t <= 1, or beyond; ValueError if it overflows."""
-        c = check_array("blend", blend, "... H", (len(self.linear),))
-        # Not in canonical form, which loses the digits of f(0) - f(c) where models differ much.
-        ell = self.problem.linear
-        with np.errstate(over="ignore", invalid="ignore"):
-            d = self._mean(c)
-            cost = ((d @ self.problem.quadratic) * d).sum(axis=-1)
-            cost += (1 - c) @ ell[:, self.worst] + c @ ell[:, self.best]
-        if not np.isfinite(cost).all():
-            raise ValueError("blend: the cost overflows; expected numbers from 0 to 1")
-        return cost
-
-
-class Blend(NamedTuple):
-    """A solution of a `BlendProblem` with its certificate."""
-
-    choices: Array  #: (H,), c_t in [0, 1]
-    cost: float  #: f(c)
-    lower_bound: float  #: f(c) minus the duality gap
-    iterations: int  #: gradient steps taken
-
-
-def solve_blend(
-    blend: BlendProblem, *, gap: float = OPTIMALITY_GAP, max_iterations: int = 100_000
-) -> Blend:
-    """Minimise f over the box by projected gradient (``sol:model_selection_expectation_cont``).
-
-    By convexity f(v) >= f(c) + f'(c)(v - c) for all v; minimised over the box this gives the
-    bound f(c) - sum_t max over v in {0, 1} of f'_t(c)(c_t - v), the duality gap of Frank and Wolfe.
-
-    Parameters
-    ----------
-    blend : BlendProblem
-        The problem.
-    gap : float
-        Stop when the duality gap is this fraction of the cost.
-    max_iterations : int
-        Stop after this many steps in any case.
-
-    Returns
-    -------
-    Blend
-        The blend, its cost and a lower bound on the optimum.
-
-    Raises
-    ------
-    ValueError
-        A `gap` or `max_iterations` out of range.
-
-    Examples
-    --------
-    Model 1 at the first step, and a little of it at the second:
-
-    >>> mean = [[[1], [0]], [[1], [0]]]
-    >>> problem = SelectionProblem([[1.4, 0.8], [0.8, 0.6]], mean, np.zeros((2, 2, 1)), [0, 1])
-    >>> solve_blend(BlendProblem(problem)).choices
-    array([1. , 0.167])
-    """
-    M, g = blend.quadratic, blend.linear
-    tiny = np.finfo(float).tiny
-    size = np.where(M.diagonal() > tiny, M.diagonal(), np.where(np.abs(g) > tiny, np.abs(g), 1))
-    scale = size**-0.5
-    step = scale**2 / (2 * max(1, la.eigvalsh(scale[:, None] * M * scale)[-1]))
-
-    ell = blend.problem.linear[:, blend.best] - blend.problem.linear[:, blend.worst]
-
-    def evaluate(c: Array) -> tuple[float, float, Array]:
-        pull = blend.problem.quadratic @ blend._mean(c)
-        slope, cost = 2 * blend._differences.T @ pull + ell, float(blend.total_cost(c))
-        return cost, cost - float(np.maximum(slope * c, slope * (c - 1)).sum()), slope
-
-    def project(c: Array) -> Array:
-        return np.clip(c, 0, 1)
-
-    half = np.full(len(g), 0.5)
-    negligible = blend.problem.rounding
-    c, iterations = projected_gradient(
-        evaluate, project, half, step, gap, negligible, max_iterations
-    )
-    return Blend(c, *evaluate(c)[:2], iterations)
-
-
-def sdp_blocks(blend: BlendProblem, theta: float, choices: npt.ArrayLike) -> list[Array]:
-    """Build the blocks of the paper's semidefinite programme (``opt:sdp``, corrected).
-
-    With Psi' = N'N, f(c) <= theta and 0 <= c <= 1 hold exactly where every block is positive
-    semidefinite: [1 - c_t], [c_t], and the Schur complement [[I, Nc], [c'N', theta - linear'c -
-    constant]].  Min theta subject to them is the value of `solve_blend`.
-
-    Parameters
-    ----------
-    blend : BlendProblem
-        The problem.
-    theta : float
-        Claimed upper bound on f(c).
-    choices : array_like, (H,)
-        The blend c.
-
-    Returns
-    -------
-    list of ndarray
-        2H blocks (1, 1), then one (H+1, H+1).
-
-    Raises
-    ------
-    ValueError
-        A wrong shape or a number that is not finite.
-    """
-    H = len(blend.linear)
-    c = check_array("choices", choices, "H", (H,))
-    N = _block_root(blend.quadratic[None])[0].T
-    corner = check_number("theta", theta) - blend.linear @ c - blend.constant
-    schur = np.block([[np.eye(H), (N @ c)[:, None]], [N @ c, np.array([corner])]])
-    return [np.array([[x]]) for x in (*(1 - c), *c)] + [schur]
 
 
 # --------------------------------------------------------------------- why it is hard (Remark)

@@ -142,7 +142,7 @@ def published_suite(
     upsilon : float
         Model w costs w * upsilon (``eq:perceptionCostDistro``; the code charges one more), >= 0.
     """
-    H, step = check_count("horizon", horizon, each=8), check_number("upsilon", upsilon, minimum=0)
+    H, step = check_count("horizon", horizon), check_number("upsilon", upsilon, minimum=0)
     mean, variance = (
         np.cumsum(check_rng(rng).uniform(0, increments, (H, 8)), axis=1)[:, ::-1, None]
         for increments in (
@@ -253,7 +253,7 @@ def sample_errors(suite: PerceptionSuite, trials: int, rng: np.random.Generator)
     rng : numpy.random.Generator
         Source of randomness.
     """
-    N = check_count("trials", trials, each=suite.mean.size)
+    N = check_count("trials", trials)
     z = check_rng(rng).standard_normal((N, *suite.mean.shape))
     if suite.variance.ndim == 3:
         return suite.mean + np.sqrt(suite.variance) * z
@@ -453,7 +453,7 @@ def bootstrap_errors(
         Source of randomness.
     """
     h, W = _check_trajectory(trajectory), len(residuals.names)
-    N = check_count("trials", trials, each=len(h) * W)
+    N = check_count("trials", trials)
     cell, step, cells = _cells(residuals, h, bins)
     n = np.bincount(cell, minlength=cells).reshape(-1, W)
     first = np.cumsum(n).reshape(-1, W) - n
@@ -534,7 +534,7 @@ def _cells(
 def _bin_edges(bins: int | npt.ArrayLike, h: Array) -> Array:
     """Return the edges of bins around the altitudes h, the last moved up by a rounding step."""
     if as_numbers("bins", bins).ndim == 0:
-        edges = np.linspace(h.min(), h.max(), check_count("bins", bins, each=1) + 1)
+        edges = np.linspace(h.min(), h.max(), check_count("bins", bins) + 1)
     else:
         edges = check_array("bins", bins, "edges", (None,)).copy()
         _check_range("bins", abs(edges), top=1e150)
@@ -590,7 +590,7 @@ def _check_altitude(altitude: npt.ArrayLike, count: int) -> Array:
 
 def draw_pose(count: int, rng: np.random.Generator) -> Array:
     """Return pitch, roll, offset per ft of distance (2), heading, blur, shake, dust (count, 8)."""
-    N = check_count("count", count, each=6 * 7)  # the largest table of a scene
+    N = check_count("count", count)  # the largest table of a scene
     pose = check_rng(rng).standard_normal((N, 8))
     pose *= [0.05, 0.05, 0.05, 0.05, 0.6, 0.015, 0.15, 0.3]
     return pose
@@ -662,7 +662,7 @@ def photograph(
         A wrong shape, or an altitude out of range.
     """
     scene, N, S = _check_scene(scene), len(scene.pose), check_count("side", side)
-    check_count("side", side, each=N * S)
+    check_count("side", side)
     h, seconds = _check_altitude(altitude, N), check_number("seconds", seconds)
     single = as_numbers("pitch", pitch).ndim == 0
     nod = check_array("pitch", np.full(N, pitch) if single else pitch, "N", (N,))
@@ -789,7 +789,7 @@ def new_network(shape: tuple[int, int, int], rng: np.random.Generator) -> Networ
     Its `shape` (3,) is a row of `ARCHITECTURE`, of 8 pixels a side or more; else ValueError.
     """
     sizes = check_array("shape", shape, "3", (3,))
-    side, filters, width = (check_count("shape", k, each=10**6) for k in sizes)
+    side, filters, width = (check_count("shape", k) for k in sizes)
     if side < 8:
         raise ValueError(f"shape: expected pictures of 8 pixels or more a side, found {side}")
     check_rng(rng)
@@ -881,7 +881,7 @@ def train_network(
     step rises to 0.003 in the first epoch, and falls to 0 along a cosine.  The unit of the loss
     is `SPREAD` squared.
     """
-    S, passes = network.side, check_count("epochs", epochs, each=1)
+    S, passes = network.side, check_count("epochs", epochs)
     pictures = check_array("pictures", pictures, "N side side", (None, S, S))
     altitude = _check_altitude(altitude, len(pictures))
     check_rng(rng)
@@ -938,7 +938,7 @@ def train_models(
         Whether to show a bar, if the output is a terminal.
     """
     n, M = check_count("training", training), check_count("held_out", held_out)
-    passes, sizes = check_count("epochs", epochs, each=1), _check_architecture(architecture)
+    passes, sizes = check_count("epochs", epochs), _check_architecture(architecture)
     W = len(sizes)
     scenes, h, pitch = draw_views(n + M, rng)
     networks, losses = [new_network(size, rng) for size in sizes], []

@@ -157,3 +157,9 @@ def check_semidefinite(name: str, matrices: Array, *, definite: bool = False) ->
         raise ValueError(f"{name}: expected a positive {fact} matrix, {found}")
     if not matrices.flags.writeable:
         _FACTS[id(matrices), fact] = matrices
+
+
+def semidefinite_root(matrices: Array) -> Array:
+    """F (..., k, k) with F F' = `matrices`, symmetric positive semidefinite."""
+    eigenvalues, V = np.linalg.eigh(matrices)
+    return np.asarray(V * np.sqrt(np.maximum(eigenvalues, 0))[..., None, :])
