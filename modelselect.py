@@ -85,8 +85,9 @@ from modelselect_parts.checks import (
 )
 from modelselect_parts.descent import project_to_simplex, projected_gradient
 from modelselect_parts.regulator import (
-    INFORMATION,
+    PATTERNS,
     ControlTask,
+    Pattern,
     Riccati,
     check_information,
     control_cost,
@@ -98,6 +99,12 @@ from modelselect_parts.regulator import (
 )
 
 __version__ = "0.2.0"
+
+
+def __getattr__(name: str) -> tuple[str, ...]:
+    if name == "INFORMATION":  # the rows of the table, read when asked
+        return tuple(PATTERNS)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 
 # A schedule counts as optimal when its relative gap is at most this.

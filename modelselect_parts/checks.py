@@ -160,6 +160,9 @@ def check_semidefinite(name: str, matrices: Array, *, definite: bool = False) ->
 
 
 def semidefinite_root(matrices: Array) -> Array:
-    """F (..., k, k) with F F' = `matrices`, symmetric positive semidefinite."""
-    eigenvalues, V = np.linalg.eigh(matrices)
-    return np.asarray(V * np.sqrt(np.maximum(eigenvalues, 0))[..., None, :])
+    """F (..., k, k) with F F' = `matrices`, symmetric positive semidefinite, up to rounding."""
+    diagonal = np.diagonal(matrices, axis1=-2, axis2=-1)[..., None]
+    scale = np.sqrt(np.where(diagonal > 0, diagonal, 1))
+    values, V = np.linalg.eigh(matrices / scale / np.swapaxes(scale, -1, -2))
+    rounding = matrices.shape[-1] * np.finfo(float).eps
+    return np.asarray(scale * V * np.sqrt(np.where(values > rounding, values, 0))[..., None, :])

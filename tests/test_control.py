@@ -196,7 +196,8 @@ def test_p_is_the_optimal_cost_to_go_found_by_least_squares(task, data):
     goal = np.vstack([root @ F, np.zeros((len(R), task.n))])
     # min over u of |root (F x + M u)|^2 + u'Ru is |left x|^2, and P_t charges x_t as well.
     left = goal - rows @ np.linalg.lstsq(rows, goal)[0]
-    size = np.linalg.norm(goal, 2) ** 2  # the cost of doing nothing
+    reach = [max(1, np.linalg.norm(at(task.A, k), 2)) for k in range(t, task.horizon)]
+    size = np.linalg.norm(Q, 2) * np.prod(reach) ** 2  # what doing nothing can cost
     assert close(riccati(task).P[t], left.T @ left + at(task.Q, t), size)
 
 
