@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple, Protocol
@@ -25,14 +26,10 @@ class Selection(Protocol):
     """What is read of a `modelselect.SelectionProblem`."""
 
     mean: Array
-
-    @property
-    def quadratic(self) -> Array: ...
-    @property
-    def linear(self) -> Array: ...
-    @property
-    def rounding(self) -> float: ...
-    def total_cost(self, choices: npt.ArrayLike) -> Any: ...
+    quadratic: Array
+    linear: Array
+    rounding: float
+    total_cost: Callable[..., Any]
 
 
 @dataclass(frozen=True, eq=False)

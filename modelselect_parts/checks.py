@@ -132,14 +132,15 @@ def check_name(argument: str, name: object, known: Collection[str]) -> None:
         raise ValueError(f"{argument}: expected one of {', '.join(known)}, found {shown(name)}")
 
 
-def check_semidefinite(name: str, matrices: Array, *, definite: bool = False) -> None:
-    """Refuse `matrices` (..., k, k) that are not symmetric positive semidefinite, or definite.
+def check_semidefinite(name: str, matrices: Array, *, definite: bool = False) -> Array:
+    """Return symmetric positive semidefinite, or definite, `matrices` (..., k, k).
 
-    Judged after scaling the diagonal to 1, so that the units of the rows do not matter.
+    Judged after scaling the diagonal to 1, so that the units of the rows do not matter; what
+    asymmetry rounding has left is taken out.
     """
     fact, k = "definite" if definite else "semidefinite", matrices.shape[-1]
     if _FACTS.get((id(matrices), fact)) is matrices:
-        return
+        return matrices
     diagonal = np.diagonal(matrices, axis1=-2, axis2=-1)[..., None]
     scale = np.sqrt(np.where(diagonal == 0, 1, np.abs(diagonal)))
     with np.errstate(over="ignore", invalid="ignore"):
@@ -155,8 +156,11 @@ def check_semidefinite(name: str, matrices: Array, *, definite: bool = False) ->
     if least <= (10 * np.finfo(float).eps if definite else -MATRIX_TOLERANCE) * k:
         found = f"found smallest eigenvalue {least:.3g} (of the matrix scaled to unit diagonal)"
         raise ValueError(f"{name}: expected a positive {fact} matrix, {found}")
+    if skew > 0:
+        matrices = frozen((matrices + np.swapaxes(matrices, -1, -2)) / 2)
     if not matrices.flags.writeable:
-        _FACTS[id(matrices), fact] = matrices
+        _FACTS[id(matrices), fact] = _FACTS[id(matrices), KINDS[0]] = matrices
+    return matrices
 
 
 def semidefinite_root(matrices: Array) -> Array:

@@ -1,4 +1,8 @@
-"""Projected gradient with its duality gap, and the projection onto the simplex."""
+"""Projected gradient with its duality gap, and the projection onto the simplex.
+
+For convex f on a convex set, f(v) >= f(x) + f'(x)(v - x): minimised over the set, the right-hand
+side is a lower bound, and value - bound a certificate (Frank and Wolfe 1956).
+"""
 
 from __future__ import annotations
 
@@ -6,37 +10,45 @@ import math
 from collections.abc import Callable
 
 import numpy as np
+import numpy.typing as npt
+import scipy.linalg as la
 
 from modelselect_parts.checks import Array, check_array, check_count, check_number
 
 
-def project_to_simplex(points: Array) -> Array:
-    """Project each row to the nearest point with non-negative entries that sum to one.
+def relative_gap(value: float, bound: float) -> float:
+    """(value - bound) / max(|value|, |bound|), or 0 where value <= bound."""
+    return 0.0 if value <= bound else (value - bound) / max(abs(value), abs(bound))
+
+
+def closes(gap: float, negligible: float) -> Callable[[float, float], bool]:
+    """Return the test whether value and bound agree to the fraction `gap`, or up to rounding."""
+    return lambda value, bound: value - bound <= negligible or relative_gap(value, bound) <= gap
+
+
+def project_to_simplex(points: npt.ArrayLike) -> Array:
+    """Project each row (..., W) to the nearest point with non-negative entries that sum to one.
 
     The nearest point is max(v - h, 0); the threshold h is found by trying, from the largest
     entry down, how many entries stay positive.
-
-    Parameters
-    ----------
-    points : array_like, (..., W)
-        Finite numbers.
-
-    Returns
-    -------
-    ndarray, (..., W)
-        Points of the simplex.
-
-    Raises
-    ------
-    ValueError
-        Points that are no finite numbers.
     """
-    points = check_array("points", points, "... W", (None,))
-    points = points - points.max(axis=-1, keepdims=True)  # same nearest point, no lost digits
-    v = -np.sort(-points, axis=-1)
+    v = check_array("points", points, "... W", (None,))
+    v = v - v.max(axis=-1, keepdims=True)  # same nearest point, no lost digits
+    entries, v = v, -np.sort(-v, axis=-1)
     thresholds = (np.cumsum(v, axis=-1) - 1) / np.arange(1, v.shape[-1] + 1)
     positive = np.count_nonzero(v > thresholds, axis=-1, keepdims=True)
-    return np.maximum(points - np.take_along_axis(thresholds, positive - 1, axis=-1), 0)
+    threshold = np.take_along_axis(thresholds, positive - 1, axis=-1)
+    return np.asarray(np.maximum(entries - threshold, 0))
+
+
+def step_lengths(M: Array, size: Array) -> Array:
+    """Return steps (k,) for x'Mx, each in proportion to 1/size of its coordinate, that are safe.
+
+    1/(2 L size) with L the largest eigenvalue of M in coordinates of unit size.
+    """
+    scale = size**-0.5
+    largest = max(1.0, la.eigvalsh(scale[:, None] * M * scale)[-1])
+    return np.asarray(1 / (2 * largest * size))
 
 
 def projected_gradient(
@@ -54,37 +66,15 @@ def projected_gradient(
     gradient is affine, so its value beyond is extrapolated rather than computed.  Momentum is
     dropped whenever it points uphill (O'Donoghue and Candes 2015).
 
-    Parameters
-    ----------
-    evaluate : callable
-        Point -> (value, lower bound on the minimum, gradient).
-    project : callable
-        Any array -> the nearest point of the set.
-    start : array_like, any shape
-        A point of the set.
-    step : array_like, (...) as many axes as `start`, of its lengths or 1
-        Step lengths > 0, at most 1/L in the metric in which `project` projects.
-    gap : float
-        Stop when value and bound agree to this fraction.
-    negligible : float
-        Stop as well when they differ by no more than this: by rounding.
-    max_iterations : int
-        Stop after this many steps in any case.
-
-    Returns
-    -------
-    point : ndarray
-        The last iterate.
-    iterations : int
-        Steps taken.
-
-    Raises
-    ------
-    ValueError
-        A limit out of range, or a `start` or `step` that is no array of finite numbers.
+    `evaluate` takes a point, of the shape of `start`, to its value, a lower bound on the minimum
+    and its gradient; `project` takes any array to the nearest point of the set.  `step` > 0, of
+    lengths as `start` or 1, is at most 1/L in the metric in which `project` projects.  Returns
+    the last iterate and the steps taken: until value and bound agree to the fraction `gap`, or to
+    the number `negligible`, or `max_iterations`.
     """
-    gap = check_number("gap", gap, minimum=0)
-    negligible = check_number("negligible", negligible, minimum=0)
+    closed = closes(
+        check_number("gap", gap, minimum=0), check_number("negligible", negligible, minimum=0)
+    )
     x = older = check_array("start", start, "...", ())
     step = check_array("step", step, "...", ())
     axes = zip(step.shape, x.shape, strict=False)
@@ -93,7 +83,7 @@ def projected_gradient(
     value, bound, slope = evaluate(x)
     older_slope, momentum = slope, 1.0
     for iteration in range(check_count("max_iterations", max_iterations)):
-        if value - bound <= max(gap * max(abs(value), abs(bound)), negligible):
+        if closed(value, bound):
             return x, iteration
         faster = (1 + math.sqrt(1 + 4 * momentum**2)) / 2
         beyond = (momentum - 1) / faster
