@@ -19,7 +19,6 @@ import math
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import reduce
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -27,16 +26,34 @@ import numpy.typing as npt
 from scipy.special import chdtri, stdtrit
 from tqdm import tqdm
 
-from modelselect import (
+from modelselect_parts import camera
+from modelselect_parts import networks as nets
+from modelselect_parts.camera import (
+    HIGHEST,
+    LOWEST,
+    MOUNT,
+    PAD,
+    TANGENT,
+    Pictures,
+    Scene,
+    draw_pose,
+    draw_scenes,
+    draw_views,
+    photograph,
+)
+from modelselect_parts.checks import (
+    Array,
     as_numbers,
     check_array,
     check_count,
     check_number,
+    check_range,
+    check_rng,
     check_semidefinite,
     shown,
 )
+from modelselect_parts.networks import ARCHITECTURE, Layer, forward, gradients
 
-Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.intp]
 
 
@@ -82,7 +99,7 @@ class PerceptionSuite:
         full = check_array("variance", self.variance, "...", ()).ndim == 4
         axes, sizes = ("H W p p", [H, W, p, p]) if full else ("H W p", [H, W, p])
         variance = check_array("variance", self.variance, axes, sizes)
-        (check_semidefinite if full else _check_range)("variance", variance)
+        (check_semidefinite if full else check_range)("variance", variance)
         timed = check_array("cost", self.cost, "...", (), finite=False).ndim == 2
         axes, sizes = ("H W", [H, W]) if timed else ("W", [W])
         cost = check_array("cost", self.cost, axes, sizes, finite=False)
@@ -93,7 +110,7 @@ class PerceptionSuite:
             size = _check_integers("sample_size", size, "H W", (H, W), top=2**53)
         if error is not None:
             error = check_array("standard_error", error, "H W p", (H, W, p))
-            _check_range("standard_error", error)
+            check_range("standard_error", error)
         _freeze(self, names=names, mean=mean, variance=variance, cost=cost)
         _freeze(self, sample_size=size, standard_error=error)
 
@@ -194,9 +211,9 @@ def gaussian_suite(
     with np.errstate(over="ignore", invalid="ignore"):
         mean = check_array("bias", bias(w, x[:, None]), "H W", (H, W))
         deviation = check_array("spread", spread(w, x[:, None]), "H W", (H, W))
-    _check_range("spread", deviation, top=1e150)  # its square must not overflow
+    check_range("spread", deviation, top=1e150)  # its square must not overflow
     relative = check_array("jitter", jitter, "2", (2,))
-    _check_range("jitter", relative, top=1e150)
+    check_range("jitter", relative, top=1e150)
     if not isinstance(signs, str) or signs not in ("same", "model", "step"):
         raise ValueError(f"signs: expected same, model or step, found {shown(signs)}")
     if relative.any() or signs != "same":
@@ -516,7 +533,7 @@ def _cells(
     bin and the last lie outside the edges.
     """
     edges, W = _bin_edges(bins, h), len(residuals.names)
-    _check_range("residuals", abs(residuals.residual), top=1e150)  # squares must not overflow
+    check_range("residuals", abs(residuals.residual), top=1e150)  # squares must not overflow
     step = np.digitize(h, edges)
     cell = np.digitize(residuals.altitude, edges) * W + residuals.model
     cells = (len(edges) + 1) * W
@@ -537,7 +554,7 @@ def _bin_edges(bins: int | npt.ArrayLike, h: Array) -> Array:
         edges = np.linspace(h.min(), h.max(), check_count("bins", bins) + 1)
     else:
         edges = check_array("bins", bins, "edges", (None,)).copy()
-        _check_range("bins", abs(edges), top=1e150)
+        check_range("bins", abs(edges), top=1e150)
     if len(edges) < 2 or np.diff(edges).min() <= 0 or h.min() < edges[0] or h.max() > edges[-1]:
         raise ValueError(
             f"bins: expected increasing edges from {h.min():g} or less to {h.max():g} or more, "
@@ -547,197 +564,7 @@ def _bin_edges(bins: int | npt.ArrayLike, h: Array) -> Array:
     return edges
 
 
-# ------------------------------------------------------------------------------------ the camera
-
-Pictures = npt.NDArray[np.float32]
-
-#: Feet: height of the camera on the landed drone, radius of the pad, lowest and highest altitude.
-MOUNT, PAD, LOWEST, HIGHEST = 5.0, 14.0, -2.0, 135.0
-#: Half the width of the view over the distance: a field of view of 74 degrees.
-TANGENT = 0.75
-
-
-class Scene(NamedTuple):
-    """What N pictures show beside the pad, and how the camera is held (``fig:airsim_env``)."""
-
-    light: Array  #: (N, 6), exposure and its two slopes, greys of ground, pad and paint
-    waves: Array  #: (N, 6, 4), texture: wave vector in rad/ft, phase, size
-    boxes: Array  #: (N, 5, 7), moving clutter: place and half-sides in ft, turn, grey, ft/s
-    decoy: Array  #: (N, 4), a disc that is no pad: place and radius in ft, grey
-    pose: Array  #: (N, 8), of `draw_pose`
-
-
-def _check_scene(scene: Scene) -> Scene:
-    """Return the scene with its tables checked, or raise ValueError."""
-    checked = []
-    for name, table, shape in zip(
-        Scene._fields, scene, ((6,), (6, 4), (5, 7), (4,), (8,)), strict=True
-    ):
-        axes = " ".join(["N", *map(str, shape)])
-        checked.append(check_array(f"scene.{name}", table, axes, (len(scene.pose), *shape)))
-        _check_range(f"scene.{name}", abs(checked[-1]), top=1e15)
-    return Scene(*checked)
-
-
-def _check_altitude(altitude: npt.ArrayLike, count: int) -> Array:
-    """Return altitudes (N,) that the camera can see, or raise ValueError."""
-    h = check_array("altitude", altitude, "N", (count,))
-    if h.min() < LOWEST or h.max() > HIGHEST:
-        found = f"{h.min():g} to {h.max():g}"
-        raise ValueError(f"altitude: expected {LOWEST:g} to {HIGHEST:g} ft, found {found}")
-    return h
-
-
-def draw_pose(count: int, rng: np.random.Generator) -> Array:
-    """Return pitch, roll, offset per ft of distance (2), heading, blur, shake, dust (count, 8)."""
-    N = check_count("count", count)  # the largest table of a scene
-    pose = check_rng(rng).standard_normal((N, 8))
-    pose *= [0.05, 0.05, 0.05, 0.05, 0.6, 0.015, 0.15, 0.3]
-    return pose
-
-
-def draw_scenes(count: int, rng: np.random.Generator) -> Scene:
-    """Draw `count` >= 1 independent scenes; ValueError as in `sample_errors`."""
-    pose, draw = draw_pose(count, rng), rng.uniform
-    N = len(pose)
-    turn, phase = draw(0, 2 * np.pi, (2, N, 6))
-    far = draw([14] * 5 + [30], [50] * 5 + [60], (N, 6))
-    place = far[..., None] * np.stack([np.cos(turn), np.sin(turn)], -1)
-    k = 2 * np.pi * np.exp(-draw(0, np.log(60), (N, 6)))  # waves of 1 to 60 ft
-    size = draw(0.01, 0.03, (N, 6))
-    box = draw([0.7, 0.7, 0, 0, -3], [7, 3, np.pi, 1, 3], (N, 5, 5))
-    return Scene(
-        draw([0.55, -0.25, -0.25, 0.3, 0.12, 0.75], [1, 0.25, 0.25, 0.55, 0.3, 1], (N, 6)),
-        np.stack([k * np.cos(turn), k * np.sin(turn), phase, size], -1),
-        np.concatenate([place[:, :5], box], -1),
-        np.concatenate([place[:, 5], draw([3, 0.1], [14, 0.9], (N, 2))], -1),
-        pose,
-    )
-
-
-def draw_views(count: int, rng: np.random.Generator) -> tuple[Scene, Array, Array]:
-    """Draw `count` scenes, altitudes in ft, uniform in the logarithm of distance, and pitch in rad.
-
-    Return a Scene and two arrays (count,); ValueError as in `sample_errors`.
-    """
-    scene, low, high = draw_scenes(count, rng), LOWEST + MOUNT, HIGHEST + MOUNT
-    N = len(scene.pose)
-    z = np.exp(rng.uniform(math.log(low), math.log(high), N))
-    return scene, np.clip(z - MOUNT, LOWEST, HIGHEST), rng.normal(0, 0.08, N)
-
-
-def photograph(
-    scene: Scene,
-    altitude: npt.ArrayLike,
-    side: int,
-    rng: np.random.Generator,
-    *,
-    pitch: npt.ArrayLike = 0.0,
-    seconds: float = 0.0,
-) -> Pictures:
-    """Take pictures (N, side, side), greys from 0 to 1, looking down on the pad.
-
-    At a distance z = altitude + `MOUNT`, a length l covers side * l / (2 `TANGENT` z) pixels.  An
-    edge is as soft as a pixel or the blur is wide, so that all sizes show the same scene.  Near
-    the ground, rotor wash shakes the camera and raises dust.
-
-    Parameters
-    ----------
-    scene : Scene
-        N scenes.
-    altitude : array_like, (N,)
-        In feet, `LOWEST` to `HIGHEST`.
-    side : int
-        Pixels along a side, >= 1.
-    rng : numpy.random.Generator
-        Source of the sensor's noise.
-    pitch : array_like, (N,) or ()
-        Of the drone, in radians; the pose adds vibration.
-    seconds : float
-        Time for which the clutter has moved.
-
-    Raises
-    ------
-    ValueError
-        A wrong shape, or an altitude out of range.
-    """
-    scene, N, S = _check_scene(scene), len(scene.pose), check_count("side", side)
-    check_count("side", side)
-    h, seconds = _check_altitude(altitude, N), check_number("seconds", seconds)
-    single = as_numbers("pitch", pitch).ndim == 0
-    nod = check_array("pitch", np.full(N, pitch) if single else pitch, "N", (N,))
-    _check_range("pitch", abs(nod), top=1e15)
-    _check_range("seconds", np.array(abs(seconds)), top=1e15)
-    size = max(1, 40_000 // S**2)  # pictures at a time, which fit a processor's cache
-    blocks = [slice(i, i + size) for i in range(0, len(h), size)]
-    parts = [(Scene(*(table[b] for table in scene)), h[b], nod[b]) for b in blocks]
-    return np.concatenate([_expose(*part, S, check_rng(rng), seconds) for part in parts])
-
-
-def _expose(
-    scene: Scene, h: Array, pitch: Array, S: int, rng: np.random.Generator, seconds: float
-) -> Pictures:
-    """Take the pictures of one block: see `photograph`."""
-    z, nod = _columns(np.stack([h + MOUNT, pitch], -1))
-    tilt, roll, right, ahead, heading, blur, shake, dust = _columns(scene.pose)
-    u = ((2 * np.arange(S) + 1) / S - 1).astype(np.float32)
-    a, b, c, s = TANGENT * u, -TANGENT * u[:, None], np.cos(tilt + nod), np.sin(tilt + nod)
-    # The ray (a, b, -1), turned by the tilt, meets the ground at a drop of z.
-    p, q = (z * (d / (c - b * s) + d0) for d, d0 in ((a + roll, right), (b * c + s, ahead)))
-    c, s, wash = np.cos(heading), np.sin(heading), np.exp((MOUNT - z) / 8)
-    foot = z * TANGENT * np.hypot(2 / S, abs(blur) + wash * abs(shake))
-    picture = _paint(scene, p * c - q * s, p * s + q * c, foot, seconds)
-    picture += wash * np.minimum(abs(dust), 0.5) * (0.6 - picture)
-    bright, across, along, *_ = _columns(scene.light)
-    picture *= bright * (1 + across * u - along * u[:, None])
-    picture += 0.02 * rng.standard_normal(picture.shape, dtype=np.float32)
-    return np.clip(picture, 0, 1)
-
-
-def _columns(table: Array) -> list[Pictures]:
-    """Return the columns of a table (N, k), each to act on pictures (N, side, side)."""
-    return list(table.T.astype(np.float32)[..., None, None])
-
-
-def _paint(scene: Scene, x: Pictures, y: Pictures, foot: Pictures, seconds: float) -> Pictures:
-    """Grey of what lies at (x, y) ft, seen by pixels `foot` ft wide, from the ground up."""
-
-    def cover(tone: Any, *inside: Any) -> None:
-        """Paint where all `inside`, the depths in ft behind an edge, are positive."""
-        shares = [np.clip(depth / foot + np.float32(0.5), 0, 1) for depth in inside]
-        picture[...] += reduce(np.multiply, shares) * (tone - picture)
-
-    *_, ground, asphalt, paint = _columns(scene.light)
-    texture = np.zeros_like(x)
-    for k1, k2, phase, size in map(_columns, np.swapaxes(scene.waves, 0, 1)):
-        fade = np.exp(-(k1**2 + k2**2) * foot**2 / 8)  # fine waves average out in a pixel
-        texture += size * fade * np.sin(k1 * x + k2 * y + phase)
-    picture, X, Y, r = ground + texture, abs(x) / PAD, abs(y) / PAD, np.hypot(x, y) / PAD
-    cx, cy, radius, grey = _columns(scene.decoy)
-    cover(grey, radius - np.hypot(x - cx, y - cy))
-    cover((ground + paint) / 2 + texture, PAD * (2.4 - X), PAD * (2.4 - Y))  # the apron
-    cover(asphalt + texture / 2, PAD * (1 - r))
-    cover(paint, PAD * (0.07 - abs(r - 0.88)))  # ring, legs and bar of the H
-    cover(paint, PAD * (0.07 - abs(X - 0.26)), PAD * (0.45 - Y))
-    cover(paint, PAD * (0.26 - X), PAD * (0.07 - Y))
-    for cx, cy, a, b, turn, grey, speed in map(_columns, np.swapaxes(scene.boxes, 0, 1)):
-        c, s = np.cos(turn), np.sin(turn)
-        p, q = x - cx - seconds * speed * c, y - cy - seconds * speed * s
-        for shift, tone in ((1, picture / 2), (0, grey)):  # the shadow, then the thing
-            dx, dy = p - shift, q + shift
-            cover(tone, a - abs(dx * c + dy * s), b - abs(dy * c - dx * s))
-    return picture
-
-
 # ---------------------------------------------------------------------------- models that learn
-
-
-class Layer(NamedTuple):
-    """Every second window of window^2 pixels, times weights, plus bias."""
-
-    weight: Pictures  #: (window^2 * channels, width)
-    bias: Pictures  #: (width,)
-    window: int
 
 
 class Network(NamedTuple):
@@ -772,11 +599,6 @@ class Network(NamedTuple):
         return np.clip(np.exp(log) - MOUNT, LOWEST, HIGHEST)
 
 
-#: Networks b0 to b7: side of the picture, filters in the first layer, width of the third.
-ARCHITECTURE = (
-    *((12, 2, 8), (16, 3, 12), (20, 4, 16), (24, 6, 24)),
-    *((28, 8, 32), (32, 10, 32), (36, 14, 40), (40, 20, 48)),
-)
 #: Networks learn (log z - CENTRE) / SPREAD of the distance z, which has mean 0 and variance 1:
 #: pictures depend on ratios of distances, and errors that grow with z are equal in log z.
 CENTRE = math.log((LOWEST + MOUNT) * (HIGHEST + MOUNT)) / 2
@@ -788,83 +610,8 @@ def new_network(shape: tuple[int, int, int], rng: np.random.Generator) -> Networ
 
     Its `shape` (3,) is a row of `ARCHITECTURE`, of 8 pixels a side or more; else ValueError.
     """
-    sizes = check_array("shape", shape, "3", (3,))
-    side, filters, width = (check_count("shape", k) for k in sizes)
-    if side < 8:
-        raise ValueError(f"shape: expected pictures of 8 pixels or more a side, found {side}")
-    check_rng(rng)
-    layers, S, channels = [], side, 1
-    for window, out in ((4, filters), (3, 2 * filters), (0, width), (1, 1)):
-        k = window or S  # the third layer has one window, the whole picture
-        inputs = k * k * channels
-        size = math.sqrt(2 / inputs) * (0.1 if k == 1 else 1)  # estimates start close to the mean
-        weight = (size * rng.standard_normal((inputs, out))).astype(np.float32)
-        layers.append(Layer(weight, np.zeros(out, np.float32), k))
-        S, channels = (S - k) // 2 + 1, out
-    return Network(side, layers)
-
-
-def _windows(x: Pictures, k: int) -> Pictures:
-    """Cut (N, S, S, C) into windows (N, P, P, C k k) of side k, two pixels apart."""
-    cut = np.lib.stride_tricks.sliding_window_view(x, (k, k), axis=(1, 2))[:, ::2, ::2]
-    return cut.reshape(*cut.shape[:3], -1)
-
-
-def _fold(d: Pictures, k: int, shape: tuple[int, ...]) -> Pictures:
-    """Add windows up where they were cut from: the transpose of `_windows`."""
-    x, P = np.zeros(shape, d.dtype), d.shape[1]
-    d = d.reshape(*d.shape[:3], shape[-1], k, k)
-    for i, j in np.ndindex(k, k):
-        x[:, i : i + 2 * P - 1 : 2, j : j + 2 * P - 1 : 2] += d[..., i, j]
-    return x
-
-
-def forward(layers: Sequence[Layer], pictures: npt.ArrayLike) -> tuple[Pictures, list[Any]]:
-    """Return outputs (N,) of `pictures` (N, side, side), and input and windows of every layer.
-
-    ValueError if the pictures are not of the size that `layers` read.
-    Light and contrast are removed first: each picture gets mean 0 and deviation about 1.
-    """
-    checked = check_array("pictures", pictures, "N side side", (None, None, None))
-    _check_range("pictures", abs(checked), top=1e15)  # squares in single precision
-    x = np.asarray(checked, dtype=layers[0].weight.dtype)
-    x = x - x.mean(axis=(1, 2), keepdims=True)
-    x = (x / (x.std(axis=(1, 2), keepdims=True) + np.float32(0.05)))[..., None]
-    seen = []
-    for layer in layers:
-        if min(x.shape[1:3]) < layer.window:
-            raise ValueError(f"pictures: expected larger ones, found {checked.shape}")
-        cut = _windows(x, layer.window)
-        seen.append((x, cut))
-        x = cut @ layer.weight + layer.bias
-        if layer is not layers[-1]:
-            x = np.maximum(x, 0)
-    if x.size != len(x):
-        raise ValueError(f"pictures: expected smaller ones, found {checked.shape}")
-    return x.ravel(), seen
-
-
-def gradients(
-    layers: Sequence[Layer], pictures: npt.ArrayLike, target: npt.ArrayLike
-) -> tuple[float, list[Pictures]]:
-    """Return the mean squared error, and its derivatives by each weight and bias in turn.
-
-    The `pictures` are (N, side, side), outputs and `target` (N,); ValueError if not.
-    Backpropagation: of a layer X W + b with derivative d by its output, X'd is the derivative by
-    W, and d W' that by the windows X; max(0, x) passes on what was positive.
-    """
-    output, seen = forward(layers, pictures)
-    wanted = check_array("target", target, "N", output.shape)
-    _check_range("target", abs(wanted), top=1e15)
-    error = output - wanted.astype(output.dtype)
-    d: Pictures = (error * np.float32(2 / len(error)))[:, None, None, None]
-    found: list[Pictures] = []
-    for (x, cut), layer in reversed(list(zip(seen, layers, strict=True))):
-        flat = d.reshape(-1, d.shape[-1])
-        found = [cut.reshape(len(flat), -1).T @ flat, flat.sum(axis=0), *found]
-        d = _fold(d @ layer.weight.T, layer.window, x.shape)
-        d *= x > 0
-    return float((error**2).mean()), found
+    layers = nets.new_layers(shape, rng)
+    return Network(check_count("shape", shape[0]), layers)
 
 
 def train_network(
@@ -883,26 +630,10 @@ def train_network(
     """
     S, passes = network.side, check_count("epochs", epochs)
     pictures = check_array("pictures", pictures, "N side side", (None, S, S))
-    altitude = _check_altitude(altitude, len(pictures))
+    altitude = camera.check_altitude(altitude, len(pictures))
     check_rng(rng)
-    arrays = [array for layer in network.layers for array in layer[:2]]
-    m, v = ([np.zeros_like(array) for array in arrays] for _ in range(2))
     target = ((np.log(altitude + MOUNT) - CENTRE) / SPREAD).astype(np.float32)
-    batches, losses = -(-len(target) // 32), np.zeros(passes)
-    for t in range(passes * batches):
-        if t % batches == 0:
-            order = rng.permutation(len(target))
-        batch = order[t % batches :: batches]
-        turned = np.rot90(pictures[batch], int(rng.integers(4)), (1, 2))[:, :: rng.choice([-1, 1])]
-        loss, slopes = gradients(network.layers, turned, target[batch])
-        losses[t // batches] += loss / batches
-        rate = 0.003 * min((t + 1) / batches, (1 + math.cos(math.pi * t / (passes * batches))) / 2)
-        for array, slope, first, second in zip(arrays, slopes, m, v, strict=True):
-            first += 0.1 * (slope - first)
-            second += 0.001 * (slope**2 - second)
-            scale = np.sqrt(second / (1 - 0.999 ** (t + 1))) + 1e-8
-            array -= rate * first / (1 - 0.9 ** (t + 1)) / scale
-    return losses
+    return nets.train(network.layers, pictures, target, passes, rng)
 
 
 class Trained(NamedTuple):
@@ -1044,18 +775,10 @@ def _check_names(names: Sequence[str]) -> tuple[str, ...]:
     return found
 
 
-def _check_range(name: str, array: Array, top: float = math.inf) -> None:
-    """Raise ValueError if an entry is negative or above `top`."""
-    if array.min() < 0:
-        raise ValueError(f"{name}: expected numbers >= 0, found {array.min():g}")
-    if array.max() > top:
-        raise ValueError(f"{name}: expected numbers of size <= {top:g}, found {array.max():g}")
-
-
 def _check_trajectory(trajectory: npt.ArrayLike) -> Array:
     """Return the altitudes (H,) of a trajectory, or raise ValueError."""
     h = check_array("trajectory", trajectory, "H", (None,))
-    _check_range("trajectory", abs(h), top=1e150)
+    check_range("trajectory", abs(h), top=1e150)
     return h
 
 
@@ -1070,13 +793,6 @@ def _check_integers(
     integers = array.astype(np.intp)
     integers.flags.writeable = False
     return integers
-
-
-def check_rng(rng: object) -> np.random.Generator:
-    """Return `rng` if it is a generator, or raise ValueError."""
-    if not isinstance(rng, np.random.Generator):
-        raise ValueError(f"rng: expected numpy.random.default_rng(seed), found {shown(rng)}")
-    return rng
 
 
 def _freeze(instance: object, **fields: object) -> None:

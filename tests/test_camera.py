@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import kstest
 
 import perception
+from modelselect_parts import networks
 from perception import (
     ARCHITECTURE,
     CENTRE,
@@ -362,9 +363,9 @@ def test_gradients_equal_finite_differences():
 def test_folding_is_the_transpose_of_cutting():
     rng = generator()
     x = rng.normal(size=(2, 9, 9, 3))
-    cut = perception._windows(x, 4)
+    cut = networks.cut_windows(x, 4)
     d = rng.normal(size=cut.shape)
-    assert (cut * d).sum() == pytest.approx((x * perception._fold(d, 4, x.shape)).sum())
+    assert (cut * d).sum() == pytest.approx((x * networks.add_windows(d, 4, x.shape)).sum())
 
 
 def test_the_last_layer_alone_learns_like_least_squares():
