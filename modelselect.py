@@ -53,11 +53,11 @@ it gives away.  So a gap of OPTIMALITY_GAP = 1e-9 counts as proved.
 >>> problem = SelectionProblem(psi(task), mean, 0 * mean, model_cost=[0, 2])
 >>> schedule = solve(problem)
 >>> schedule.choices, schedule.cost, schedule.is_optimal
-(array([1, 1, 1, 0]), 6.6, True)
+(array([1, 1, 1, 0]), 6.618, True)
 >>> check_certificate(problem, schedule) <= schedule.lower_bound <= schedule.cost
 True
 >>> enumerate_schedules(problem).cost, relax(problem).value  # 16 schedules; fractions of models
-(6.6, 6.4)
+(6.618, 6.604)
 """
 
 from __future__ import annotations
@@ -419,18 +419,22 @@ def _certified(
 ) -> Schedule:
     """Make a Schedule, with the better bound of the certificate and what a search has `proved`.
 
-    As Psi is semidefinite, sum_t min_w l is a bound as well: it is that of the reference 0.
+    As Psi is semidefinite, sum_t min_w l is a bound as well, that of the reference 0; so are the
+    cheapest prices, as no trace(Psi_tt Sigma) is negative.
     """
     cost, rounding = _cost(problem, choices)
     root, d = max(
         ((reference_bound(problem, d)[0], d) for d in (reference, np.zeros(len(reference)))),
         key=lambda pair: pair[0],
     )
-    lower = max(root, min(proved, cost - rounding))
+    prices = np.broadcast_to(problem._priced(problem.model_cost, np.inf), problem.mean.shape[:2])
+    cheapest = prices.min(axis=1)
+    floor = float(cheapest.sum() - len(cheapest) * trellis.EPS * np.abs(cheapest).sum())
+    lower = max(root, floor, min(proved, cost - rounding))
     return Schedule(choices, cost, min(cost, lower), root, d, solver, work)
 
 
-def stopwatch(time_limit: float | None) -> Callable[[], float]:
+def _stopwatch(time_limit: float | None) -> Callable[[], float]:
     """Return a function that tells how many seconds of a limit are left."""
     limit = math.inf if time_limit is None else check_number("time_limit", time_limit, minimum=0)
     end = perf_counter() + limit
@@ -581,10 +585,9 @@ def relax_interior_point(
         usable &= mask == 1
         if not usable.any(axis=1).all():
             raise ValueError("allowed: expected an available model in every row, found none")
-    gap, ceiling = check_number("gap", gap, minimum=0), float(ceiling)
-    if math.isnan(ceiling):
-        raise ValueError("ceiling: expected a number, found NaN")
-    time_left, iterations = stopwatch(time_limit), check_count("max_iterations", max_iterations)
+    gap = check_number("gap", gap, minimum=0)
+    ceiling = float(check_array("ceiling", ceiling, "", (), finite=False))
+    time_left, iterations = _stopwatch(time_limit), check_count("max_iterations", max_iterations)
     return _newton(problem, usable, gap, ceiling, time_left, iterations)
 
 
@@ -626,7 +629,7 @@ def round_and_swap(
     t by D = mu[t,w] - mu[t,w_t] and the cost by 2 D'(alpha Psi mu_c)_t + D'(alpha Psi_tt)D
     + l[t,w] - l[t,w_t]; the best swap is taken, until `time_limit` seconds are over.
     """
-    return _start(problem, relaxation, stopwatch(time_limit))
+    return _start(problem, relaxation, _stopwatch(time_limit))
 
 
 def _start(
@@ -717,7 +720,7 @@ def dynamic_program(
     by then; `relaxation`, of `relax_interior_point` by default, gives d and the first schedule.
     `work` holds the labels kept at every step of the last pass, the passes and the seconds.
     """
-    time_left, started = stopwatch(time_limit), perf_counter()
+    time_left, started = _stopwatch(time_limit), perf_counter()
     max_labels = check_count("max_labels", max_labels, minimum=WIDTHS[0])
     closed = closes(check_number("gap", gap, minimum=0), 0.0)
     first = _start(problem, relaxation, time_left)
@@ -786,7 +789,7 @@ def branch_and_bound(
     below the optimum, and its lower bound only rises.  Ends with the gap, after `time_limit`
     seconds or `max_nodes` nodes; `work["tree"]` is the list of `Node`, root first.
     """
-    time_left, started = stopwatch(time_limit), perf_counter()
+    time_left, started = _stopwatch(time_limit), perf_counter()
     most = math.inf if max_nodes is None else check_count("max_nodes", max_nodes)
     gap = check_number("gap", gap, minimum=0)
     allowed = np.isfinite(problem.linear)
@@ -898,7 +901,7 @@ def solve(
     """
     gap = check_number("gap", gap, minimum=0)
     max_labels = check_count("max_labels", max_labels, minimum=WIDTHS[0])
-    time_left = stopwatch(time_limit)
+    time_left = _stopwatch(time_limit)
     if is_separable(problem):
         return solve_separable(problem)
     relaxation = _newton(problem, np.isfinite(problem.linear), 1e-7, math.inf, time_left)

@@ -16,8 +16,8 @@ tight one.  Who found d does not matter.
 
 >>> M, mean, linear = np.array([[2.0]]), np.array([[[1.0], [-1.0]]]), np.array([[0.0, 1.0]])
 >>> bound, reduced = certificate(M, mean, linear, linear, d=np.array([0.25]))
->>> bound, reduced  # the two models cost 2 and 3
-(0.875, array([[0., 0.]]))
+>>> bound, reduced  # the two models cost 2 = -0.125 + 1 + 1.125 and 3 = -0.125 + 0 + 3.125
+(-0.125, array([[1., 0.]]))
 """
 
 from __future__ import annotations

@@ -232,3 +232,22 @@ def dense_flight(task, x0, s, s_hat, information, prior=0.0):
             task, x0, s, lambda t: zero[t:], lambda t, x: x + at(task.C, t) @ (s_hat - s)[t]
         )
     return plain_states(task, x0, s, controls), controls
+
+
+# -------------------------------------------------------------------------- what is public, where
+
+#: Tools that the modules take from their parts for themselves.
+TOOLS = {
+    *("Frozen", "frozen", "closes", "step_lengths", "congruence", "interior_point", "check_name"),
+    *("semidefinite_root", "relative_gap", "check_range"),
+}
+#: Parts that users reach through another module than modelselect.
+HOMES = {"camera": "perception", "networks": "perception"}
+
+
+def belongs(name, thing, module):
+    """Whether a public name is this module's: defined in it, or in one of its parts."""
+    home = getattr(thing, "__module__", None) or ""
+    if home.startswith("modelselect_parts."):
+        home = HOMES.get(home.split(".")[1], "modelselect")
+    return name[0] != "_" and name not in TOOLS and home == module.__name__

@@ -15,6 +15,8 @@ import landing
 import modelselect as ms
 import perception
 
+from strategies import belongs
+
 #: file, and below it: public names | test | what the oracle is
 ORACLES = """
 tests/test_control.py
@@ -36,7 +38,8 @@ SelectionProblem.perception_term | test_the_perception_term_adds_the_cost_of_the
 SelectionProblem.chosen_mean | test_the_stacked_mean_holds_component_r_of_step_t_at_t_p_plus_r | a plain loop over components
 SelectionProblem.linear | test_linear_is_the_weighted_trace_plus_the_weighted_cost | a trace for each step
 SelectionProblem.quadratic SelectionProblem.blocks SelectionProblem.spread stepwise_cost | test_quadratic_blocks_spread_and_stepwise_cost_are_those_of_loops | plain loops over components
-SelectionProblem.rounding | test_rounding_is_one_unit_in_the_last_place_of_what_greedy_choices_cost | plain loops over single steps
+SelectionProblem.rounding SelectionProblem.linear_size SelectionProblem.cost_rounding | test_rounding_is_relative_to_the_sizes_of_the_terms_that_the_greedy_choices_sum | plain loops over terms
+SelectionProblem.exact_cost | test_a_cost_is_off_by_its_rounding_at_most | fractions of the very floats
 Schedule Schedule.gap | test_the_gap_is_relative_to_the_larger_of_cost_and_bound | values worked out by hand
 Schedule.is_optimal | test_a_schedule_is_optimal_up_to_a_relative_gap_of_1e_9 | hand values on either side
 reference_bound | test_a_small_problem_and_its_bound_by_hand | two steps worked out by hand
@@ -59,6 +62,7 @@ BlendProblem.quadratic BlendProblem.linear BlendProblem.constant | test_the_cano
 solve_blend | test_the_solver_of_blends_meets_a_general_qp_solver | cvxpy's quadratic programme with Clarabel
 sdp_blocks | test_an_sdp_solver_on_our_blocks_meets_a_qp_solver_on_the_definition | cvxpy's semidefinite against quadratic programme
 partition_problem | test_the_optimum_of_the_gadget_is_that_of_a_table_over_signed_sums | a table of all signed sums
+maximum_cut_problem | test_the_cheapest_schedule_is_a_maximum_cut | all cuts of random graphs
 tests/test_perception.py
 PerceptionSuite | test_a_suite_holds_what_it_was_given | the arrays given, by hand
 PerceptionSuite.pick | test_picked_models_keep_their_entries | a plain loop over models
@@ -125,7 +129,13 @@ plot_gallery | test_gallery_shows_three_landings_and_the_third_again_at_40_pixel
 """
 #: Records without behaviour of their own, and the function that fills them.
 RECORDS = {
-    **{"Riccati": "riccati", "Relaxation": "relax", "Node": "branch_and_bound"},
+    **{
+        "Riccati": "riccati",
+        "Look": "run_controller",
+        "Pattern": "psi",
+        "Selection": "BlendProblem",
+    },
+    **{"Relaxation": "relax", "Node": "branch_and_bound"},
     **{"ErrorCost": "error_cost", "Blend": "solve_blend", "Scene": "draw_scenes"},
     **{"Layer": "new_network", "Network": "new_network", "Trained": "train_models"},
     **{"Preset": "preset", "Flights": "run_experiment", "Result": "run_experiment"},
@@ -136,7 +146,7 @@ RECORDS = {
 def public(module):
     """Names of what a module defines: functions, classes, their methods and properties."""
     for name, thing in vars(module).items():
-        if name[0] == "_" or getattr(thing, "__module__", "") != module.__name__:
+        if not belongs(name, thing, module):
             continue
         if callable(thing):
             yield name

@@ -1,6 +1,7 @@
 """The selection problem, its certificate and its door, against enumeration, sampling and loops."""
 
 from dataclasses import FrozenInstanceError, replace
+from fractions import Fraction
 from itertools import product
 
 import numpy as np
@@ -175,15 +176,29 @@ def test_quadratic_blocks_spread_and_stepwise_cost_are_those_of_loops(problem):
 
 
 @given(problems())
-def test_rounding_is_one_unit_in_the_last_place_of_what_greedy_choices_cost(problem):
-    H, W, _ = problem.mean.shape
-    terms = sum(min(sum(alone(problem, t, w)) for w in range(W)) for t in range(H))
-    assert abs(problem.rounding / 2**-52 - terms) <= 1e-9 * total_size(problem)
+def test_rounding_is_relative_to_the_sizes_of_the_terms_that_the_greedy_choices_sum(problem):
+    c = stepwise_cost(problem).argmin(axis=1)
+    (H, _, p), steps = problem.mean.shape, range(len(c))
+    mu = np.abs(problem.chosen_mean(c))
+    k = range(len(mu))
+    terms = problem.alpha * sum(mu[i] * abs(problem.psi[i, j]) * mu[j] for i in k for j in k)
+    for t in steps:
+        sizes = np.abs(block(problem, t)) * np.abs(covariance(problem, t, c[t]))
+        terms += problem.alpha * sizes.sum() + problem.beta * abs(kappa(problem, t, c[t]))
+    assert problem.rounding == pytest.approx((p * H + H + p + 10) * 2**-53 * terms, rel=1e-9)
 
 
 def test_rounding_counts_income_by_its_size():
     problem = SelectionProblem([[3]], [[[1]]], [[[0]]], [-5])  # 3 to control, 5 earned
-    assert problem.rounding == 8 * 2**-52
+    assert problem.rounding == 8 * 13 * 2**-53
+
+
+@given(problems())
+def test_a_cost_is_off_by_its_rounding_at_most(problem):
+    schedules = every_schedule(problem)
+    for c in schedules[np.isfinite(problem.total_cost(schedules))][::7]:
+        error = abs(Fraction(float(problem.total_cost(c))) - problem.exact_cost(c))
+        assert error <= Fraction(float(problem.cost_rounding(c)))
 
 
 @given(problems())
@@ -498,12 +513,13 @@ def test_a_small_problem_and_its_bound_by_hand():
     assert problem.total_cost([[0, 0], [0, 1], [1, 0], [1, 1]]).tolist() == [5, 1, 5, 1]
     bound, reduced = reference_bound(problem, [1, 0])
     # G = [[2 * 1 * 1, 1], [4, 0]]: LB = 1 + 0 - 1.
-    assert bound == 0 and reduced.tolist() == [[1, 0], [4, 0]]
+    assert -1e-13 < bound <= 0  # what rounding could have added is taken off
+    np.testing.assert_allclose(reduced, [[1, 0], [4, 0]], atol=1e-13)
 
 
 def test_a_certificate_by_hand_is_accepted():
     schedule = Schedule(np.array([0, 1]), 1.0, 0.25, 0.0, np.array([1.0, 0]), "by hand")
-    assert check_certificate(a_problem(), schedule) == 0  # the two numbers of the test above
+    assert abs(check_certificate(a_problem(), schedule)) < 1e-13  # as in the test above
 
 
 @pytest.mark.parametrize(
@@ -915,8 +931,6 @@ def test_the_checkers_by_hand():
     assert check_array("x", np.inf, "", (), finite=False) == np.inf
     assert check_number("x", np.int8(-3), minimum=-3) == -3.0
     assert check_count("x", 4.0) == 4 and check_count("x", 0, minimum=0) == 0
-    assert check_count("x", 10**8, each=10) == 10**8  # 10^9 numbers are the most
-    refused(lambda: check_count("x", 10**8 + 1, each=10), "x: expected at most 100000000")
     assert check_choices([[0, 2], [1, 1]], 2, 3).dtype == np.intp
     assert all(check_information(name) is None for name in ("open_loop", "causal"))
     assert shown(np.eye(2)) == "array([[1., 0.], [0., 1.]])"  # on one line

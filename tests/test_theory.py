@@ -477,8 +477,8 @@ def fewest_minuses(integers):
 
 
 def gain(H, information):
-    """The g of Psi = g 11' in the gadget."""
-    return H / (1 + H) if information == "open_loop" else 1 / 2
+    """The g of Psi = g 11' in the gadget: the same for every pattern that foresees."""
+    return 1 / 2
 
 
 FORECASTS = pytest.mark.parametrize("information", ["open_loop", "preview"])
@@ -491,7 +491,7 @@ def test_the_gadgets_psi_is_constant_and_is_that_of_a_real_task(H, information):
     assert problem.psi == pytest.approx(np.full((H, H), gain(H, information)), rel=1e-11)
     errors = np.random.default_rng(H).normal(size=(4, H))
     B = np.ones((H, 1, 1))
-    B[1:] = information == "open_loop"
+    B[1:] = 0
     task = replace(scalar(H), B=B)
     by_simulation = gain(H, information) * errors.sum(axis=1) ** 2
     assert rolled_out(task, errors, information) == pytest.approx(by_simulation, rel=1e-9)
@@ -542,7 +542,9 @@ def test_on_the_gadget_labels_stay_within_a_few_times_the_distinct_signed_sums(
     integers = [int(a) for a in np.random.default_rng(H + top).integers(1, top, H)]
     integers[0] += sum(integers) % 2 != odd
     schedule = ms.dynamic_program(ms.partition_problem(integers, information))
-    assert schedule.is_optimal and (schedule.cost < gain(H, information)) == (not odd)
+    # Costs far below their terms: double precision leaves a gap, but decides the question.
+    assert schedule.gap <= 1e-9 or schedule.cost - schedule.lower_bound <= 1e-6
+    assert (schedule.cost < gain(H, information)) == (not odd)
     sums = [len(fewest_minuses(integers[t:])) for t in range(H)]
     # Equal sums merge; rounding keeps a few copies apart.  Without merging there were 2^H.
     assert (schedule.work["labels"] <= 2 * np.array(sums)).all()
@@ -551,8 +553,33 @@ def test_on_the_gadget_labels_stay_within_a_few_times_the_distinct_signed_sums(
 
 @pytest.mark.parametrize("information", ["causal", "measurement"])
 def test_the_gadget_needs_a_forecast(information):
-    with pytest.raises(ValueError, match=r"^information: expected open_loop or preview"):
+    with pytest.raises(ValueError, match=r"^information: expected one of open_loop, preview"):
         ms.partition_problem([1, 2], information)
+
+
+@FORECASTS
+@pytest.mark.parametrize("seed", range(12))
+def test_the_cheapest_schedule_is_a_maximum_cut(seed, information):
+    rng = np.random.default_rng(seed)
+    H = int(rng.integers(1, 8))
+    graph = np.triu(rng.random((H, H)) < 0.5, 1).astype(float)
+    graph += graph.T
+    problem = ms.maximum_cut_problem(graph, information)
+    signs = sign_patterns(H)
+    cuts = [sum(graph[i, j] for i in range(H) for j in range(i) if e[i] != e[j]) for e in signs]
+    values = ((signs @ problem.psi) * signs).sum(axis=1)
+    rest = values - H * (2 * H * H - 4 * np.array(cuts)) + H
+    assert (rest > 0).all() and (rest < 1 / 2).all()
+    best = ms.solve(problem)
+    assert best.is_optimal
+    chosen = (signs == 2 * best.choices - 1).all(axis=1)
+    assert cuts[int(chosen.argmax())] == max(cuts)
+
+
+@pytest.mark.parametrize("bad", [[[0, 1]], [[0, 1], [0, 0]], [[1]], [[0, 2], [2, 0]], 3])
+def test_a_graph_is_a_symmetric_matrix_of_0_and_1_without_loops(bad):
+    with pytest.raises(ValueError, match=r"^adjacency: expected"):
+        ms.maximum_cut_problem(bad)
 
 
 @pytest.mark.parametrize("bad", [[], [0], [-1], [1.5], [True], [[1, 2]]])
@@ -568,7 +595,7 @@ def solved_step_by_step(problem):
     return (
         abs(schedule.cost - best) <= tolerance
         and problem.total_cost(schedule.choices) == schedule.cost
-        and schedule.lower_bound == schedule.cost
+        and schedule.cost - tolerance <= schedule.lower_bound <= schedule.cost
     )
 
 
