@@ -146,15 +146,6 @@ def solve_blend(blend: BlendProblem, *, gap: float = 1e-9, max_iterations: int =
     ------
     ValueError
         A `gap` or `max_iterations` out of range.
-
-    Examples
-    --------
-    Model 1 at the first step, and a little of it at the second:
-
-    >>> mean = [[[1], [0]], [[1], [0]]]
-    >>> problem = SelectionProblem([[1.4, 0.8], [0.8, 0.6]], mean, np.zeros((2, 2, 1)), [0, 1])
-    >>> solve_blend(BlendProblem(problem)).choices
-    array([1. , 0.167])
     """
     M, g = blend.quadratic, blend.linear
     tiny = np.finfo(float).tiny

@@ -608,7 +608,7 @@ ROWS: dict[str, tuple[Callable[..., Any], dict[str, Arg]]] = {
     ),
     "maximum_cut_problem": (
         ms.maximum_cut_problem,
-        {"adjacency": FLAG, "information": PATTERN},  # see test_theory.py
+        {"adjacency": FLAG, "information": FLAG},  # see test_theory.py
     ),
     # ---- perception: suites
     "PerceptionSuite": (
@@ -734,7 +734,7 @@ ROWS: dict[str, tuple[Callable[..., Any], dict[str, Arg]]] = {
     ),
     "new_network": (
         perception.new_network,
-        {"shape": index([8, 2, 3]), "rng": RNG},
+        {"shape": index([8, 2, 3], "too-large"), "rng": RNG},
     ),
     "forward": (
         perception.forward,
@@ -762,7 +762,7 @@ ROWS: dict[str, tuple[Callable[..., Any], dict[str, Arg]]] = {
         perception.train_models,
         {
             "rng": RNG,
-            "architecture": index(SIZES, "length-0", blames="shape"),
+            "architecture": index(SIZES, "length-0 too-large", blames="shape"),
             "training": count(4, blames="count"),
             "held_out": count(3, blames="count"),
             "epochs": count(1),
@@ -781,7 +781,7 @@ ROWS: dict[str, tuple[Callable[..., Any], dict[str, Arg]]] = {
         {
             "path": path("models.npz"),
             "key": FLAG,
-            "architecture": index(SIZES, blames="shape models.npz"),
+            "architecture": index(SIZES, "too-large", blames="shape models.npz"),
         },
     ),
     # ---- landing
@@ -936,7 +936,7 @@ ROWS: dict[str, tuple[Callable[..., Any], dict[str, Arg]]] = {
 
 #: What functions return, and nobody makes by hand: fields without checks.
 RECORDS = {
-    *("Riccati", "Look", "Pattern", "Relaxation", "Node", "ErrorCost", "Blend", "Selection"),
+    *("Riccati", "Pattern", "Schedule", "Relaxation", "Node", "ErrorCost", "Blend"),
     *("ModelTable", "Scene", "Layer", "Network", "Trained"),
     *("Preset", "Flights", "Result", "Regret"),
 }
@@ -965,7 +965,7 @@ def test_the_table_is_complete():
 
 def test_records_have_no_checks():
     found = {name: thing for module in MODULES for name, thing in public(module)}
-    for name in RECORDS:
+    for name in RECORDS - {"Schedule"}:  # which freezes its arrays
         assert "__post_init__" not in vars(found[name])
 
 

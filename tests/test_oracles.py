@@ -131,9 +131,7 @@ plot_gallery | test_gallery_shows_three_landings_and_the_third_again_at_40_pixel
 RECORDS = {
     **{
         "Riccati": "riccati",
-        "Look": "run_controller",
         "Pattern": "psi",
-        "Selection": "BlendProblem",
     },
     **{"Relaxation": "relax", "Node": "branch_and_bound"},
     **{"ErrorCost": "error_cost", "Blend": "solve_blend", "Scene": "draw_scenes"},
