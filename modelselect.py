@@ -737,7 +737,9 @@ def dynamic_program(
         if width > max_labels or closed(cost, proved) or (passes and expired()):
             break
         excess = max(0.0, cost - root - triangle.offset)
-        slack = max(SEARCH_SLACK * abs(cost), float(problem.cost_rounding(best)))
+        slack, rounding = SEARCH_SLACK * abs(cost), float(problem.cost_rounding(best))
+        if slack < rounding:  # no hope of a small gap: let labels merge that differ by rounding
+            slack = 30 * rounding
         if not steps:
             least = label_search.negligible_strength(triangle, excess, slack)
             steps = label_search.compress(triangle, least, expired)

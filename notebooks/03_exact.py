@@ -242,7 +242,7 @@ print(f"plain dynamic programme: cost {plain.cost:.2f}, labels at the end {plain
 # errors, and $-3 + 2 + 1 = 0$.
 
 # %%
-sums = ms.partition_problem([3, 2, 1])  # Psi = 3/4 (1 1 1)'(1 1 1)
+sums = ms.partition_problem([3, 2, 1])  # Psi = 1/2 (1 1 1)'(1 1 1)
 
 
 def cost_of_end(later):
@@ -259,7 +259,7 @@ for t in (2, 1, 0):  # remember one label only, the cheapest so far
 
 exact = ms.enumerate_schedules(sums)
 print(f"optimum {exact.choices}: {exact.cost:.3f}")
-assert exact.cost < 0.1 < 3 <= cost_of_end(cheapest)
+assert exact.cost < 0.1 < 2 <= cost_of_end(cheapest)
 
 # %% [markdown]
 # After two steps $-2 + 1$ looks better than $+2 + 1$, but $-3$ cancels the latter. The cost so far

@@ -666,15 +666,15 @@ np.testing.assert_allclose(programme.value, solved.cost, rtol=1e-5)
 # PARTITION (split integers $a_0, \dots, a_{H-1}$ into two halves of equal sum) in the simplest
 # robot there is:
 #
-# - **Robot.** $x_{t+1} = x_t + u_t + s_t$, $Q = 0$, $R = 1$, terminal weight 1, controls planned
-#   open loop.
-# - **Its $\Psi$.** The cost is $\sum u_t^2 + x_H^2$. So $K = I + \mathbf{1}\mathbf{1}^\top$,
-#   $L = \mathbf{1}\mathbf{1}^\top$, and as $K\mathbf{1} = (1 + H)\mathbf{1}$,
-#   $\;\Psi = L^\top K^{-1} L = \frac{H}{1+H}\,\mathbf{1}\mathbf{1}^\top$.
+# - **Robot.** $x_{t+1} = x_t + B_t u_t + s_t$ with $B_0 = 1$ and then 0, $Q = 0$, $R = 1$,
+#   terminal weight 1: only $u_0$ acts, so whoever foresees the inputs plans the same.
+# - **Its $\Psi$.** The cost is $u_0^2 + x_H^2$ with $x_H = x_0 + u_0 + \sum s_t$. So
+#   $u_0 = -\tfrac12 (x_0 + \sum \hat s_t)$, and an error of the sum costs half its square:
+#   $\;\Psi = \tfrac12\,\mathbf{1}\mathbf{1}^\top$.
 # - **Models.** At step $t$, model 0 errs by $+a_t$ and model 1 by $-a_t$; model 1 costs a crumb.
 #
-# A schedule costs $\frac{H}{1+H}(\sum_t \pm a_t)^2$ plus crumbs that add up to less than half of
-# $\frac{H}{1+H}$. The signed sum is an integer. So the optimum lies below $\frac{H}{1+H}$ **if
+# A schedule costs $\tfrac12(\sum_t \pm a_t)^2$ plus crumbs that add up to less than half of
+# $\tfrac12$. The signed sum is an integer. So the optimum lies below $\tfrac12$ **if
 # and only if** some signs give zero: a perfect partition. The gadget is no longer to write down
 # than the integers, up to a constant factor, so who solved it fast would solve PARTITION fast.
 
@@ -682,9 +682,11 @@ np.testing.assert_allclose(programme.value, solved.cost, rtol=1e-5)
 split, stuck = [3, 1, 1, 2, 2, 1], [5, 5, 5, 3]
 for integers in (split, stuck):
     H = len(integers)
-    g, gadget = H / (1 + H), ms.partition_problem(integers)
+    g, gadget = 1 / 2, ms.partition_problem(integers)
     np.testing.assert_allclose(gadget.psi, g * np.ones((H, H)))
-    robot = ms.ControlTask(one, one, one, 0 * one, one, H, Q_final=one)
+    B = np.zeros((H, 1, 1))
+    B[0] = 1
+    robot = ms.ControlTask(one, B, one, 0 * one, one, H, Q_final=one)
     e = np.random.default_rng(0).normal(size=(H, 1))  # the regret of flying with errors e
     flown = ms.control_cost(robot, *ms.run_controller(robot, [0], 0 * e, e))
     np.testing.assert_allclose(flown, g * e.sum() ** 2)
@@ -914,7 +916,7 @@ print("Exercise 3: right")
 #
 # Write `halves(integers)`: two lists of equal sum that together hold exactly the given positive
 # integers, or `None` if there are none. Let `ms.partition_problem` and `ms.solve` do the work:
-# read the decision off the cost (threshold $H/(1+H)$) and the two lists off the schedule. Return
+# read the decision off the cost (threshold $\tfrac12$) and the two lists off the schedule. Return
 # a pair of lists.
 
 
@@ -934,7 +936,7 @@ for heap in heaps:
         reachable |= {s + value for s in reachable}
     possible = 2 * max(s for s in reachable if 2 * s <= sum(heap)) == sum(heap)
     if not possible:
-        assert found is None, f"Exercise 4: {heap} has no perfect partition; compare with H/(1+H)"
+        assert found is None, f"Exercise 4: {heap} has no perfect partition; compare with 1/2"
         continue
     assert found is not None, f"Exercise 4: {heap} has a perfect partition"
     assert len(found) == 2, "Exercise 4: return two lists"

@@ -57,7 +57,7 @@ def derandomise(problem, b):
 #
 # A schedule costs $\frac{H}{1+H}$ times the squared signed sum, plus less than half of
 # $\frac{H}{1+H}$. The signed sum is an integer: if it is zero the cost is below $\frac{H}{1+H}$,
-# otherwise at least $\frac{H}{1+H}$. In the first case the steps of model 0 (sign $+$) and those
+# otherwise at least $\tfrac12$. In the first case the steps of model 0 (sign $+$) and those
 # of model 1 (sign $-$) balance.
 
 
@@ -65,7 +65,7 @@ def derandomise(problem, b):
 def halves(integers):
     """Return two lists of equal sum that share out the integers, or None if there are none."""
     H, schedule = len(integers), ms.solve(ms.partition_problem(integers))
-    if schedule.cost > 0.75 * H / (1 + H):  # well between the two cases, so rounding cannot matter
+    if schedule.cost > 0.375:  # well between the two cases, so rounding cannot matter
         return None
     plus, minus = ([a for a, w in zip(integers, schedule.choices, strict=True) if w == side]
                    for side in (0, 1))  # fmt: skip
