@@ -449,7 +449,7 @@ def test_a_jitter_may_be_large_and_one_of_the_two_zero():
         ({"jitter": (0.0, 0.1)}, "rng: expected"),
         ({"signs": "model"}, "rng: expected"),
         ({"signs": "step", "rng": 5}, "rng: expected numpy.random.default_rng(seed), found 5"),
-        ({"signs": "both"}, "signs: expected same, model or step, found 'both'"),
+        ({"signs": "both"}, "signs: expected one of same, model, step, found 'both'"),
     ],
 )
 def test_gaussian_suite_refuses(changes, start):
