@@ -173,9 +173,9 @@ def sample_errors(suite: PerceptionSuite, trials: int, rng: Rng) -> Array:
 def published_suite(horizon: int, rng: Rng, upsilon: float = 1e14) -> PerceptionSuite:
     """Draw the suite of experiment 1: b0 to b7, p = 1, b7 the best at every step.
 
-    At every step, from b7 down to b0, each model adds uniform draws to the mean and the variance
-    of the one before it; their upper ends are the constants of the authors' public code.  Model w
-    costs w * `upsilon` (``eq:perceptionCostDistro``; the code charges one more).
+    At each of H = `horizon` steps, from b7 down to b0, a model adds uniform draws to the mean and
+    the variance of the one before it; their upper ends are the constants of the authors' public
+    code.  Model w costs w * `upsilon` (``eq:perceptionCostDistro``; the code charges one more).
     """
     H, step = check_count("horizon", horizon), check_number("upsilon", upsilon, minimum=0)
     mean, variance = (
@@ -554,7 +554,7 @@ def load_models(path: PathLike, key: str, architecture: Sizes = ARCHITECTURE) ->
 
 
 def with_bar(items: Iterable[Any], title: str, progress: bool) -> Any:
-    """Go through `items` with a bar, if `progress`, tqdm is installed and the output a terminal."""
+    """Go through `items` with a bar and its `title`, if tqdm is installed, at a terminal."""
     try:
         from tqdm import tqdm
     except ImportError:

@@ -35,7 +35,7 @@ ARCHITECTURE = (
 class ModelTable(NamedTuple):
     """What W image models need and achieve: the columns of `EFFICIENTNET`."""
 
-    names: tuple[str, ...]
+    names: tuple[str, ...]  #: (W,)
     parameters: Array  #: (W,), trained weights
     flops: Array  #: (W,), operations per picture: a cost vector
     top1: Array  #: (W,), ImageNet top-1 accuracy in percent
@@ -103,7 +103,7 @@ class Network(NamedTuple):
 
     side: int  #: of its pictures, in pixels
     layers: list[Layer]
-    reach: Reach
+    reach: Reach  #: what its output stands for
 
     @property
     def parameters(self) -> int:
@@ -121,9 +121,8 @@ class Network(NamedTuple):
 
     def altitude(self, pictures: npt.ArrayLike) -> Array:
         """Estimate altitudes (N,) in feet, within reach, from pictures (N, side, side)."""
-        sizes = (None, self.side, self.side)
-        checked = check_array("pictures", pictures, "N side side", sizes)
-        return self.reach.decode(forward(self.layers, checked)[0])
+        checked = _check_pictures(pictures, self.side)
+        return self.reach.decode(_forward(self.layers, checked)[0])
 
 
 def draw_network(shape: tuple[int, int, int], reach: Reach, rng: np.random.Generator) -> Network:
@@ -165,9 +164,7 @@ def forward(layers: Sequence[Layer], pictures: npt.ArrayLike) -> tuple[Single, l
 
     Light and contrast are removed first: each picture gets mean 0 and deviation about 1.
     """
-    checked = check_array("pictures", pictures, "N side side", (None, None, None))
-    check_range("pictures", abs(checked), LARGEST)
-    return _forward(layers, checked)
+    return _forward(layers, _check_pictures(pictures))
 
 
 def _forward(layers: Sequence[Layer], pictures: npt.NDArray[Any]) -> tuple[Single, list[Any]]:
@@ -221,6 +218,13 @@ def _backward(
     return float((error**2).mean()), slopes
 
 
+def _check_pictures(pictures: npt.ArrayLike, side: int | None = None) -> Array:
+    """Return pictures (N, side, side) whose squares do not overflow in single precision."""
+    checked = check_array("pictures", pictures, "N side side", (None, side, side))
+    check_range("pictures", abs(checked), LARGEST)
+    return checked
+
+
 def cut_windows(x: Single, k: int) -> Single:
     """Cut (N, S, S, C) into windows (N, P, P, C k k) of side k, two pixels apart."""
     cut = np.lib.stride_tricks.sliding_window_view(x, (k, k), axis=(1, 2))[:, ::2, ::2]
@@ -252,8 +256,7 @@ def train_network(
     Batches of about 32 are turned or mirrored at random, as the ground has no upright; the step
     rises to 0.003 in the first epoch, and falls to 0 along a cosine.
     """
-    S, passes = network.side, check_count("epochs", epochs)
-    pictures = check_array("pictures", pictures, "N side side", (None, S, S))
+    passes, pictures = check_count("epochs", epochs), _check_pictures(pictures, network.side)
     target = network.reach.encode(altitude, len(pictures))
     check_rng(rng)
     arrays = [array for layer in network.layers for array in layer[:2]]
