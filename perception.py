@@ -1,32 +1,54 @@
 """How wrong is each perception model, and when?  Error models: simulated, or measured.
 
 At step t a perception model w looks at the world and reports s_hat where the truth is s.  A
-schedule need not know why it errs: all that enters the expected cost of control is the mean of
-s_hat - s, the *bias* of the model (``eq:perModelExp``), and its *variance* (``eq:perModelVar``),
-at every step and for every model.  These two tables, with the cost of one invocation of each
-model (``eq:perceptionCostDistro``), are a `PerceptionSuite`.
+schedule need not know why it errs.  All that it needs is
 
-Suites come from three places.  `published_suite` draws the one of the paper's first experiment;
-`gaussian_suite` makes one of two formulas, to learn from; `fit_suite` estimates one from
-residuals measured on data that the models have never seen, and says how well it knows them.
+    mean[t, w]     = E[s_hat - s]      (``eq:perModelExp``), the *bias*
+    variance[t, w] = Var[s_hat - s]    (``eq:perModelVar``)
+    cost[t, w]     of one invocation   (``eq:perceptionCostDistro``)
+
+These tables are a `PerceptionSuite`.  Some are simulated: `published_suite` draws that of the
+paper's first experiment, `gaussian_suite` makes one of two formulas.  Others are measured, by
+`fit_suite`, on data that the models have never seen.  At the end stand models that we train
+ourselves, to read the altitude off pictures of a helipad.
+
+Two models on the way down, one small, one large and half as wrong:
+
+>>> h = np.array([40.0, 20.0, 10.0])
+>>> bias, spread = lambda w, h: h / 10 / (1 + w), lambda w, h: h / 20 / (1 + w)
+>>> suite = gaussian_suite(bias, spread, cost=[1, 4], at=h)
+>>> suite.mean[..., 0]  # a row a step, a column a model
+array([[4. , 2. ], [2. , 1. ], [1. , 0.5]])
+
+Of a real robot, nobody knows these numbers.  One measures errors, and estimates them:
+
+>>> errors = sample_errors(suite, 30, np.random.default_rng(1))[..., 0]
+>>> _, step, model = (index.ravel() for index in np.indices(errors.shape))
+>>> residuals = Residuals(suite.names, model, h[step], errors.ravel())
+>>> fitted = fit_suite(residuals, trajectory=h, cost=suite.cost, bins=[0, 15, 30, 50])
+>>> fitted.mean[..., 0].round(2)
+array([[3.89, 1.88], [1.64, 1.02], [1.08, 0.47]])
+
+A guard against luck with so few: each bias is at most this large, with a chance of 95%.
+
+>>> guard_suite(fitted).mean[..., 0].round(2)
+array([[4.52, 2.13], [1.9 , 1.14], [1.23, 0.54]])
 """
 
 from __future__ import annotations
 
 import csv
 import io
-import math
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
+from weakref import WeakValueDictionary
 
 import numpy as np
-import numpy.typing as npt
+from numpy.typing import ArrayLike
 from scipy.special import chdtri, stdtrit
-from tqdm import tqdm
 
-from modelselect_parts import camera
 from modelselect_parts import networks as nets
 from modelselect_parts.camera import (
     HIGHEST,
@@ -43,85 +65,78 @@ from modelselect_parts.camera import (
 )
 from modelselect_parts.checks import (
     Array,
+    Frozen,
     as_numbers,
     check_array,
     check_count,
+    check_name,
     check_number,
     check_range,
     check_rng,
     check_semidefinite,
+    frozen,
     shown,
 )
-from modelselect_parts.networks import ARCHITECTURE, Layer, forward, gradients
+from modelselect_parts.checks import Choices as Indices
+from modelselect_parts.networks import (
+    ARCHITECTURE,
+    EFFICIENTNET,
+    Layer,
+    ModelTable,
+    Network,
+    forward,
+    gradients,
+    train_network,
+)
 
-Indices = npt.NDArray[np.intp]
-
+Rng = np.random.Generator
+PathLike = str | os.PathLike[str]
+Sizes = Sequence[tuple[int, int, int]]  #: see `ARCHITECTURE`
+LARGEST = 1e150  # squares of numbers up to here do not overflow
 
 # ----------------------------------------------------------------------------- the error model
 
 
 @dataclass(frozen=True, eq=False)
-class PerceptionSuite:
+class PerceptionSuite(Frozen):
     """Mean and variance of the error s_hat - s of W models at H steps, and what each costs.
 
-    ``dataclasses.replace(suite, cost=...)`` is the same suite at another price.
-
-    Parameters
-    ----------
-    names : sequence of str, (W,)
-        Distinct names.
-    mean : array_like, (H, W, p)
-        Mean error, in units of perception (``eq:perModelExp``).
-    variance : array_like, (H, W, p) or (H, W, p, p)
-        Variance of each component, or covariance within a step (``eq:perModelVar``).
-    cost : array_like, (W,) or (H, W)
-        Cost of one invocation; ``inf`` where a model is not available.
-    sample_size, standard_error : array_like, (H, W) and (H, W, p), optional
-        Of a measured suite: how many residuals each mean rests on, and its standard error.
-
-    Raises
-    ------
-    ValueError
-        A wrong shape, a NaN, a negative variance, or a step at which no model is available.
+    The variance is that of each component, or the covariance within a step.  A suite that was
+    measured knows on how many residuals each mean rests, and its standard error.  With
+    ``dataclasses.replace(suite, cost=...)`` it is the same suite at another price.
     """
 
-    names: Sequence[str]
-    mean: Array
-    variance: Array
-    cost: Array
-    sample_size: Indices | None = None
-    standard_error: Array | None = None
+    names: Sequence[str]  #: (W,), distinct
+    mean: Array  #: (H, W, p), in units of perception
+    variance: Array  #: (H, W, p) or (H, W, p, p)
+    cost: Array  #: (W,) or (H, W), of one invocation; inf where a model is not available
+    sample_size: Indices | None = None  #: (H, W)
+    standard_error: Array | None = None  #: (H, W, p)
 
     def __post_init__(self) -> None:
         names = _check_names(self.names)
         mean = check_array("mean", self.mean, "H W p", (None, len(names), None))
         H, W, p = mean.shape
-        full = check_array("variance", self.variance, "...", ()).ndim == 4
-        axes, sizes = ("H W p p", [H, W, p, p]) if full else ("H W p", [H, W, p])
-        variance = check_array("variance", self.variance, axes, sizes)
-        (check_semidefinite if full else check_range)("variance", variance)
-        timed = check_array("cost", self.cost, "...", (), finite=False).ndim == 2
-        axes, sizes = ("H W", [H, W]) if timed else ("W", [W])
-        cost = check_array("cost", self.cost, axes, sizes, finite=False)
+        variance = check_array("variance", self.variance, "...", ())
+        shape = ("H W p p", (H, W, p, p)) if variance.ndim == 4 else ("H W p", (H, W, p))
+        variance = check_array("variance", variance, *shape)
+        (check_semidefinite if variance.ndim == 4 else check_range)("variance", variance)
+        cost = check_array("cost", self.cost, "...", (), finite=False)
+        width = ("H W", (H, W)) if cost.ndim == 2 else ("W", (W,))
+        cost = check_array("cost", cost, *width, finite=False)
         if np.isneginf(cost).any() or np.isinf(np.atleast_2d(cost)).all(axis=1).any():
             raise ValueError("cost: expected a finite cost at every step, found none or -inf")
-        size, error = self.sample_size, self.standard_error
-        if size is not None:
-            size = _check_integers("sample_size", size, "H W", (H, W), top=2**53)
-        if error is not None:
-            error = check_array("standard_error", error, "H W p", (H, W, p))
+        self._set(names=names, mean=mean, variance=variance, cost=cost)
+        if self.sample_size is not None:
+            size = _check_whole("sample_size", self.sample_size, "H W", (H, W), 2**53)
+            self._set(sample_size=size)
+        if self.standard_error is not None:
+            error = check_array("standard_error", self.standard_error, "H W p", mean.shape)
             check_range("standard_error", error)
-        _freeze(self, names=names, mean=mean, variance=variance, cost=cost)
-        _freeze(self, sample_size=size, standard_error=error)
+            self._set(standard_error=error)
 
     def pick(self, models: Sequence[str | int]) -> PerceptionSuite:
-        """Return the suite of only these models, in this order.
-
-        Parameters
-        ----------
-        models : sequence of str or int
-            Names or indices, each at most once; anything else raises ValueError.
-        """
+        """Return the suite of these `models` only, by name or by index, in this order."""
         number = {key: w for w, name in enumerate(self.names) for key in (name, w)}
         # A mask of truths would pass for the indices 0 and 1.
         unknown = [w for w in models if isinstance(w, bool | np.bool_) or w not in number]
@@ -131,78 +146,69 @@ class PerceptionSuite:
                 f"found {shown([*unknown, models][0])}"
             )
         w = [number[model] for model in models]
-        tables = {
-            field: table[..., w] if field == "cost" else table[:, w]
-            for field, table in vars(self).items()
-            if isinstance(table, np.ndarray)
-        }
+        given = {k: table for k, table in vars(self).items() if isinstance(table, np.ndarray)}
+        tables = {k: table[..., w] if k == "cost" else table[:, w] for k, table in given.items()}
         return replace(self, names=[self.names[i] for i in w], **tables)
+
+
+def sample_errors(suite: PerceptionSuite, trials: int, rng: Rng) -> Array:
+    """Draw Gaussian errors (trials, H, W, p) of all models, independent across steps and models.
+
+    e = mean + F z with z standard normal and F F' the covariance within a step.  F is its
+    symmetric square root, which exists for a singular covariance as well.
+    """
+    N = check_count("trials", trials)
+    z = check_rng(rng).standard_normal((N, *suite.mean.shape))
+    if suite.variance.ndim == 3:
+        return suite.mean + np.sqrt(suite.variance) * z
+    values, V = np.linalg.eigh(suite.variance)
+    # Rounding may leave a zero eigenvalue below zero.
+    F: Array = V * np.sqrt(np.maximum(values, 0))[..., None, :] @ np.swapaxes(V, -1, -2)
+    return suite.mean + (F @ z[..., None])[..., 0]
 
 
 # ---------------------------------------------------------------------------- simulated suites
 
 
-def published_suite(
-    horizon: int, rng: np.random.Generator, upsilon: float = 1e14
-) -> PerceptionSuite:
+def published_suite(horizon: int, rng: Rng, upsilon: float = 1e14) -> PerceptionSuite:
     """Draw the suite of experiment 1: b0 to b7, p = 1, b7 the best at every step.
 
-    At every step, from b7 down to b0, each model adds uniform draws to the mean and the variance
-    of the one before it; their upper ends are the constants of the authors' public code.
-
-    Parameters
-    ----------
-    horizon : int
-        Number of steps H >= 1.
-    rng : numpy.random.Generator
-        Source of randomness.
-    upsilon : float
-        Model w costs w * upsilon (``eq:perceptionCostDistro``; the code charges one more), >= 0.
+    At each of H = `horizon` steps, from b7 down to b0, a model adds uniform draws to the mean and
+    the variance of the one before it; their upper ends are the constants of the authors' public
+    code.  Model w costs w * `upsilon` (``eq:perceptionCostDistro``; the code charges one more).
     """
     H, step = check_count("horizon", horizon), check_number("upsilon", upsilon, minimum=0)
     mean, variance = (
         np.cumsum(check_rng(rng).uniform(0, increments, (H, 8)), axis=1)[:, ::-1, None]
         for increments in (
-            (0.05, 0.1, 1, 4, 8, 12, 16, 16),
-            (0.3, 0.06, 0.08, 0.01, 0.02, 0.02, 0.03, 0.03),
+            [0.05, 0.1, 1, 4, 8, 12, 16, 16],
+            [0.3, 0.06, 0.08, 0.01, 0.02, 0.02, 0.03, 0.03],
         )
     )
     return PerceptionSuite(EFFICIENTNET.names, mean, variance, step * np.arange(8.0))
 
 
 def gaussian_suite(
-    bias: Callable[[Array, Array], npt.ArrayLike],
-    spread: Callable[[Array, Array], npt.ArrayLike],
-    cost: npt.ArrayLike,
-    at: npt.ArrayLike,
+    bias: Callable[[Array, Array], ArrayLike],
+    spread: Callable[[Array, Array], ArrayLike],
+    cost: ArrayLike,
+    at: ArrayLike,
     *,
     names: Sequence[str] | None = None,
     jitter: tuple[float, float] = (0.0, 0.0),
     signs: str = "same",
-    rng: np.random.Generator | None = None,
+    rng: Rng | None = None,
 ) -> PerceptionSuite:
     """Make a suite (p = 1) of a formula for the bias and one for the standard deviation.
 
-    Parameters
-    ----------
-    bias, spread : callable
-        Functions of w (W,), the numbers of the models, and of x (H, 1), which is `at`, to (H, W).
-    cost : array_like, (W,) or (H, W)
-        Cost of one invocation; sets the number of models.
-    at : array_like, (H,)
-        The steps, or the altitudes along a trajectory.
-    jitter : pair of float
-        Every bias, and every standard deviation, is multiplied by its own 1 + jitter * N(0, 1).
-    signs : str
-        Leaves the signs of the biases as they are (``same``), or draws one for each ``model``,
-        or for each ``step`` and model.  One seed gives the same magnitudes in all three.
-    names, rng : optional
-        b0, b1, ... by default; the Generator that jitter and random signs require.
+    Both are functions of w (W,), the numbers of the models, and of x (H, 1), which is `at`: the
+    steps, or the altitudes on the way; they return (H, W).  The `cost` (W,) or (H, W) sets W.
 
-    Raises
-    ------
-    ValueError
-        A wrong shape, a negative spread or jitter, unknown `signs`, or a missing `rng`.
+        mean = ± bias(w, x) (1 + jitter[0] z),   variance = (spread(w, x) (1 + jitter[1] z))^2
+
+    with z standard normal, new for each entry.  The `signs` stay the ``same``, or are drawn, one
+    for each ``model``, or for each ``step`` and model; a seed gives the same magnitudes in all.
+    The `names` are b0, b1, ... unless given; jitter and random signs need an `rng`.
     """
     x = check_array("at", at, "H", (None,))
     price = check_array("cost", cost, "... W", (None,), finite=False)
@@ -211,38 +217,28 @@ def gaussian_suite(
     with np.errstate(over="ignore", invalid="ignore"):
         mean = check_array("bias", bias(w, x[:, None]), "H W", (H, W))
         deviation = check_array("spread", spread(w, x[:, None]), "H W", (H, W))
-    check_range("spread", deviation, top=1e150)  # its square must not overflow
+    check_range("spread", deviation, LARGEST)
     relative = check_array("jitter", jitter, "2", (2,))
-    check_range("jitter", relative, top=1e150)
-    if not isinstance(signs, str) or signs not in ("same", "model", "step"):
-        raise ValueError(f"signs: expected same, model or step, found {shown(signs)}")
+    check_range("jitter", relative, LARGEST)
+    check_name("signs", signs, ("same", "model", "step"))
     if relative.any() or signs != "same":
         rng = check_rng(rng)
         factor = 1 + relative[:, None, None] * rng.standard_normal((2, H, W))
-        # A deviation below zero counts by its size, as only its square is used.
         mean, deviation = mean * factor[0], deviation * factor[1]
         if signs != "same":
             mean = mean * rng.choice([-1, 1], (H if signs == "step" else 1, W))
-    labels = [f"b{i}" for i in range(W)] if names is None else names
-    return PerceptionSuite(labels, mean[..., None], deviation[..., None] ** 2, price)
+    names = [f"b{i}" for i in range(W)] if names is None else names
+    return PerceptionSuite(names, mean[..., None], deviation[..., None] ** 2, price)
 
 
 def textbook_suite(
-    altitude: npt.ArrayLike, rng: np.random.Generator, signs: str = "same", upsilon: float = 1.0
+    altitude: ArrayLike, rng: Rng, signs: str = "same", upsilon: float = 1.0
 ) -> PerceptionSuite:
     """Draw the suite of the textbook aircraft: eight models, all better near the ground.
 
-    At altitude h, model w has bias 1.5 * 0.6^w * (0.3 + h/100) ft and standard deviation
-    2 * 0.65^w * (0.3 + h/100) ft, with 20% and 10% of jitter.
-
-    Parameters
-    ----------
-    altitude : array_like, (H,)
-        Altitude at every step, in feet.
-    rng, signs : numpy.random.Generator and str
-        As in `gaussian_suite`, with its errors.
-    upsilon : float
-        Model w costs w * upsilon, >= 0.
+    At `altitude` h (H,) in feet, model w has bias 1.5 * 0.6^w * (0.3 + h/100) ft and standard
+    deviation 2 * 0.65^w * (0.3 + h/100) ft, with 20% and 10% of jitter, `signs` as in
+    `gaussian_suite`, and costs w * `upsilon`.
     """
     return gaussian_suite(
         lambda w, h: 1.5 * 0.6**w * (0.3 + h / 100),
@@ -255,90 +251,30 @@ def textbook_suite(
     )
 
 
-def sample_errors(suite: PerceptionSuite, trials: int, rng: np.random.Generator) -> Array:
-    """Draw Gaussian errors (trials, H, W, p) of all models, independent across steps and models.
-
-    e = mean + F z with z standard normal and F F' the covariance within a step.  F is its
-    symmetric square root, which exists for a singular covariance as well.
-
-    Parameters
-    ----------
-    suite : PerceptionSuite
-        The models.
-    trials : int
-        Number of draws, >= 1; anything else raises ValueError.
-    rng : numpy.random.Generator
-        Source of randomness.
-    """
-    N = check_count("trials", trials)
-    z = check_rng(rng).standard_normal((N, *suite.mean.shape))
-    if suite.variance.ndim == 3:
-        return suite.mean + np.sqrt(suite.variance) * z
-    values, V = np.linalg.eigh(suite.variance)
-    # Rounding may leave a zero eigenvalue below zero.
-    F: Array = V * np.sqrt(np.maximum(values, 0))[..., None, :] @ np.swapaxes(V, -1, -2)
-    return suite.mean + (F @ z[..., None])[..., 0]
-
-
-class ModelTable(NamedTuple):
-    """What W image models need and achieve: the columns of `EFFICIENTNET`."""
-
-    names: tuple[str, ...]
-    parameters: Array  #: (W,), trained weights
-    flops: Array  #: (W,), operations per picture: a cost vector
-    top1: Array  #: (W,), ImageNet top-1 accuracy in percent
-    pixels: Array  #: (W,), side of the square input picture
-
-
-#: Tan and Le 2019, Table 2; the picture sizes are those of their code.
-EFFICIENTNET = ModelTable(
-    ("b0", "b1", "b2", "b3", "b4", "b5", "b6", "b7"),
-    check_array("parameters", [5.3e6, 7.8e6, 9.2e6, 12e6, 19e6, 30e6, 43e6, 66e6], "W", (8,)),
-    check_array("flops", [0.39e9, 0.70e9, 1.0e9, 1.8e9, 4.2e9, 9.9e9, 19e9, 37e9], "W", (8,)),
-    check_array("top1", [77.1, 79.1, 80.1, 81.6, 82.9, 83.6, 84.0, 84.3], "W", (8,)),
-    check_array("pixels", [224, 240, 260, 300, 380, 456, 528, 600], "W", (8,)),
-)
-
-
 # ------------------------------------------------------------------------------ measured suites
 
 
 @dataclass(frozen=True, eq=False)
-class Residuals:
-    """N measured errors s_hat - s, each with the model that made it and the altitude.
+class Residuals(Frozen):
+    """N measured errors s_hat - s, each with the model that made it and the altitude."""
 
-    Parameters
-    ----------
-    names : sequence of str, (W,)
-        Distinct names of the models.
-    model : array_like of int, (N,)
-        Index of the model in `names`.
-    altitude, residual : array_like, (N,)
-        In the unit of the trajectory, and of perception.
-
-    Raises
-    ------
-    ValueError
-        Lengths that differ, a number that is not finite, an index of no model.
-    """
-
-    names: Sequence[str]
-    model: Indices
-    altitude: Array
-    residual: Array
+    names: Sequence[str]  #: (W,), distinct
+    model: Indices  #: (N,), index in `names`
+    altitude: Array  #: (N,), in the unit of the trajectory
+    residual: Array  #: (N,), in the unit of perception
 
     def __post_init__(self) -> None:
         names = _check_names(self.names)
         residual = check_array("residual", self.residual, "N", (None,))
         altitude = check_array("altitude", self.altitude, "N", residual.shape)
-        model = _check_integers("model", self.model, "N", residual.shape, top=len(names) - 1)
-        _freeze(self, names=names, model=model, altitude=altitude, residual=residual)
+        model = _check_whole("model", self.model, "N", residual.shape, len(names) - 1)
+        self._set(names=names, model=model, altitude=altitude, residual=residual)
 
 
 HEADER = ["model", "altitude", "residual"]
 
 
-def read_residuals(path: str | os.PathLike[str], names: Sequence[str] | None = None) -> Residuals:
+def read_residuals(path: PathLike, names: Sequence[str] | None = None) -> Residuals:
     """Read a CSV file with the header ``model,altitude,residual`` and one residual a line.
 
     The columns keep this order, as an altitude taken for a residual would pass for one; blanks
@@ -351,20 +287,17 @@ def read_residuals(path: str | os.PathLike[str], names: Sequence[str] | None = N
     names : sequence of str, optional
         The models in the order of the suite; that of the file if left out.
 
+    Returns
+    -------
+    Residuals
+        In the order of the file.
+
     Raises
     ------
     ValueError
         Any fault, with the file, the line, what was expected and what was found.
     """
-    try:
-        # Spreadsheets put a byte order mark before UTF-8 text: "-sig" skips it.
-        with open(os.fspath(path), encoding="utf-8-sig", newline="") as file:
-            reader = csv.reader(file, strict=True)
-            lines = [(reader.line_num, [cell.strip() for cell in row]) for row in reader]
-    except (OSError, ValueError, csv.Error) as error:
-        why = f"{path}: cannot be read as a CSV file: {error}"
-        raise ValueError(" ".join(why.split())) from None
-    (line, header), *rows = [(i, row) for i, row in lines if any(row)] or [(1, [])]
+    (line, header), *rows = _read_rows(path) or [(1, [])]
     if header != HEADER:
         wanted, found = ",".join(HEADER), ",".join(header)[:60]
         raise ValueError(f"{path}, line {line}: expected the header {wanted}, found {found!r}")
@@ -386,16 +319,21 @@ def read_residuals(path: str | os.PathLike[str], names: Sequence[str] | None = N
     return Residuals(list(number), w, altitude, residual)
 
 
-def write_residuals(path: str | os.PathLike[str], residuals: Residuals) -> None:
-    """Write the file from which `read_residuals` restores the residuals to the last digit.
+def _read_rows(path: PathLike) -> list[tuple[int, list[str]]]:
+    """Line number and stripped cells of all rows of a CSV file that are not blank."""
+    try:
+        # Spreadsheets put a byte order mark before UTF-8 text: "-sig" skips it.
+        with open(os.fspath(path), encoding="utf-8-sig", newline="") as file:
+            reader = csv.reader(file, strict=True)
+            lines = [(reader.line_num, [cell.strip() for cell in row]) for row in reader]
+    except (OSError, ValueError, csv.Error) as error:
+        why = f"{path}: cannot be read as a CSV file: {error}"
+        raise ValueError(" ".join(why.split())) from None
+    return [(line, row) for line, row in lines if any(row)]
 
-    Parameters
-    ----------
-    path : str or path
-        The file, overwritten if it exists; OSError if it cannot be written.
-    residuals : Residuals
-        What to write.
-    """
+
+def write_residuals(path: PathLike, residuals: Residuals) -> None:
+    """Write the file at `path` from which `read_residuals` restores them to the last digit."""
     names = [residuals.names[w] for w in residuals.model]
     columns = (names, residuals.altitude.tolist(), residuals.residual.tolist())
     with open(os.fspath(path), "w", encoding="utf-8", newline="") as file:
@@ -403,95 +341,58 @@ def write_residuals(path: str | os.PathLike[str], residuals: Residuals) -> None:
 
 
 def fit_suite(
-    residuals: Residuals,
-    trajectory: npt.ArrayLike,
-    cost: npt.ArrayLike,
-    *,
-    bins: int | npt.ArrayLike = 10,
+    residuals: Residuals, trajectory: ArrayLike, cost: ArrayLike, *, bins: ArrayLike = 10
 ) -> PerceptionSuite:
     """Estimate a suite (p = 1): moments of the residuals by altitude, laid along a trajectory.
 
-    Of the n residuals r_i of a model in a bin of altitudes, m = sum r_i / n is the mean,
-    v = sum (r_i - m)^2 / (n - 1) the unbiased variance, and sqrt(v / n) the standard error of m.
-    Step t takes those of the bin that `trajectory[t]` falls into.
+    Of the n >= 2 residuals r_i of a model in a bin of altitudes,
 
-    Parameters
-    ----------
-    residuals : Residuals
-        Measured on data that no model was trained on.
-    trajectory : array_like, (H,)
-        Altitude at every step.
-    cost : array_like, (W,) or (H, W)
-        Cost of one invocation.
-    bins : int or array_like, (edges,)
-        Number of equal bins over the range of the trajectory, or increasing edges around it.  A
-        bin includes its lower edge, the last one its upper edge too; residuals outside the edges
-        are not used.
+        m = sum r_i / n,   v = sum (r_i - m)^2 / (n - 1),   sqrt(v / n)
 
-    Raises
-    ------
-    ValueError
-        Bad edges, or a model with fewer than 2 residuals in a bin that the trajectory visits.
+    are the mean, the unbiased variance, and the standard error of m.  Step t takes those of the
+    bin that `trajectory[t]` (H,) falls into; `cost` is (W,) or (H, W).
+
+    `bins` are a number of bins of equal width, or increasing edges around the trajectory.  A bin
+    includes its lower edge, the last one its upper edge too; residuals outside are not used.
     """
-    h = _check_trajectory(trajectory)
-    W, r = len(residuals.names), residuals.residual
-    cell, step, cells = _cells(residuals, h, bins)
-    n = np.bincount(cell, minlength=cells)
-    # The maxima keep cells with 0 or 1 residuals finite: below, they are refused or not used.
-    m = np.bincount(cell, r, cells) / np.maximum(n, 1)
-    v = np.bincount(cell, (r - m[cell]) ** 2, cells) / np.maximum(n - 1, 1)
-    size = n.reshape(-1, W)[step]
-    mean, variance = (table.reshape(-1, W, 1)[step] for table in (m, v))
+    cell, visited, n = _sort_into_bins(residuals, _check_trajectory(trajectory), bins)
+    r, W = residuals.residual, len(residuals.names)
+    # The maxima keep cells with 0 or 1 residuals finite, which no step visits.
+    m = np.bincount(cell, r, n.size) / np.maximum(n.ravel(), 1)
+    v = np.bincount(cell, (r - m[cell]) ** 2, n.size) / np.maximum(n.ravel() - 1, 1)
+    mean, variance = (table.reshape(-1, W, 1)[visited] for table in (m, v))
     price = check_array("cost", cost, "... W", (W,), finite=False)
-    error = np.sqrt(variance / size[..., None])
-    return PerceptionSuite(residuals.names, mean, variance, price, size, error)
+    error = np.sqrt(variance / n[visited][..., None])
+    return PerceptionSuite(residuals.names, mean, variance, price, n[visited], error)
 
 
 def bootstrap_errors(
-    residuals: Residuals,
-    trajectory: npt.ArrayLike,
-    trials: int,
-    rng: np.random.Generator,
-    *,
-    bins: int | npt.ArrayLike = 10,
+    residuals: Residuals, trajectory: ArrayLike, trials: int, rng: Rng, *, bins: ArrayLike = 10
 ) -> Array:
     """Draw errors (trials, H, W, 1) from the residuals themselves, instead of `sample_errors`.
 
-    Step t and model w draw, with equal chances, from the n residuals that `fit_suite` would use;
-    their mean is that of the suite, their variance (n - 1) / n of its own.
-
-    Parameters
-    ----------
-    residuals, trajectory, bins : Residuals, array_like (H,), int or array_like
-        As in `fit_suite`, with its errors.
-    trials : int
-        Number of draws, >= 1; anything else raises ValueError.
-    rng : numpy.random.Generator
-        Source of randomness.
+    Step t and model w draw, with equal chances, from the n residuals that `fit_suite` would use
+    with this `trajectory` and these `bins`; their mean is that of the suite, their variance
+    (n - 1) / n of its own.
     """
-    h, W = _check_trajectory(trajectory), len(residuals.names)
     N = check_count("trials", trials)
-    cell, step, cells = _cells(residuals, h, bins)
-    n = np.bincount(cell, minlength=cells).reshape(-1, W)
-    first = np.cumsum(n).reshape(-1, W) - n
-    pick = first[step] + check_rng(rng).integers(n[step], size=(N, len(step), W))
+    cell, visited, n = _sort_into_bins(residuals, _check_trajectory(trajectory), bins)
+    first = np.cumsum(n).reshape(n.shape) - n  # where each cell starts, once they are in order
+    shape = (N, len(visited), len(residuals.names))
+    pick = first[visited] + check_rng(rng).integers(n[visited], size=shape)
     return np.asarray(residuals.residual[np.argsort(cell, kind="stable")][pick][..., None])
 
 
 def guard_suite(suite: PerceptionSuite, level: float = 0.95) -> PerceptionSuite:
     """Replace moments measured on n residuals by upper confidence bounds of the given level.
 
-    The bias moves away from 0 by t_{level, n-1} standard errors, and the variance becomes
-    (n - 1) v / (chi-square quantile of 1 - level, n - 1): each bound holds with at least this
-    chance if errors are normal.  A schedule then trusts no model because of luck with few
-    residuals.  Where Psi couples steps, a larger bias may cancel another: no bound on the cost.
+    With the quantiles of Student's t and of chi-square at n - 1 degrees of freedom,
 
-    Parameters
-    ----------
-    suite : PerceptionSuite
-        Of `fit_suite`.
-    level : float
-        Between 1/2 and 1; ValueError if not, or if the suite is not measured.
+        bias away from 0 by t(level) sqrt(v / n),   v (n - 1) / chi-square(1 - level).
+
+    Each bound holds with at least this chance, from 1/2 to below 1, if errors are normal.  A
+    schedule then trusts no model because of luck with few residuals.  Where Psi couples steps, a
+    larger bias may cancel another: no bound on the cost.
     """
     if suite.sample_size is None or suite.standard_error is None or suite.sample_size.min() < 2:
         raise ValueError("suite: expected one measured on 2 residuals or more, found another")
@@ -503,17 +404,10 @@ def guard_suite(suite: PerceptionSuite, level: float = 0.95) -> PerceptionSuite:
     return replace(suite, mean=suite.mean + away, variance=variance)
 
 
-def altitude_bins(altitude: npt.ArrayLike, trajectory: npt.ArrayLike, count: int) -> Array:
+def altitude_bins(altitude: ArrayLike, trajectory: ArrayLike, count: int) -> Array:
     """Return count + 1 edges around a trajectory, with equally many altitudes in every bin.
 
-    Parameters
-    ----------
-    altitude : array_like, (N,)
-        Altitudes of residuals; those beyond the trajectory do not count.
-    trajectory : array_like, (H,)
-        Altitude at every step.
-    count : int
-        Number of bins, >= 1; ValueError if there are fewer altitudes.
+    Of the `altitude` (N,) of residuals, those beyond the `trajectory` (H,) do not count.
     """
     h = _check_trajectory(trajectory)
     near = check_array("altitude", altitude, "N", (None,))
@@ -524,37 +418,34 @@ def altitude_bins(altitude: npt.ArrayLike, trajectory: npt.ArrayLike, count: int
     return np.array([h.min(), *np.quantile(near, inner), h.max()])
 
 
-def _cells(
-    residuals: Residuals, h: Array, bins: int | npt.ArrayLike
-) -> tuple[Indices, Indices, int]:
-    """Sort residuals into cells, one a bin and model; ValueError if one along h has below 2.
+def _sort_into_bins(residuals: Residuals, h: Array, bins: ArrayLike) -> tuple[Indices, ...]:
+    """Sort residuals into cells, one a bin and model, of 2 or more where h (H,) passes.
 
-    Return the cell of every residual, the bin of every step, and the number of cells; the first
-    bin and the last lie outside the edges.
+    Return the cell of every residual (N,), the bin that every step visits (H,), and the number of
+    residuals (bins + 2, W) of every cell; the first bin and the last lie outside the edges.
     """
     edges, W = _bin_edges(bins, h), len(residuals.names)
-    check_range("residuals", abs(residuals.residual), top=1e150)  # squares must not overflow
-    step = np.digitize(h, edges)
+    check_range("residuals", abs(residuals.residual), LARGEST)
+    visited = np.digitize(h, edges)
     cell = np.digitize(residuals.altitude, edges) * W + residuals.model
-    cells = (len(edges) + 1) * W
-    size = np.bincount(cell, minlength=cells).reshape(-1, W)[step]
-    if size.min() < 2:
-        t, w = np.argwhere(size < 2)[0]
+    n = np.bincount(cell, minlength=(len(edges) + 1) * W).reshape(-1, W)
+    if n[visited].min() < 2:
+        t, w = np.argwhere(n[visited] < 2)[0]
+        low, high = edges[visited[t] - 1], edges[visited[t]]
         raise ValueError(
             f"residuals: expected 2 or more of {residuals.names[w]} at altitudes "
-            f"{edges[step[t] - 1]:g} to {edges[step[t]]:g}, found {size[t, w]}; "
-            "use fewer bins or measure more"
+            f"{low:g} to {high:g}, found {n[visited[t], w]}; use fewer bins or measure more"
         )
-    return cell, step, cells
+    return cell, visited, n
 
 
-def _bin_edges(bins: int | npt.ArrayLike, h: Array) -> Array:
+def _bin_edges(bins: ArrayLike, h: Array) -> Array:
     """Return the edges of bins around the altitudes h, the last moved up by a rounding step."""
     if as_numbers("bins", bins).ndim == 0:
         edges = np.linspace(h.min(), h.max(), check_count("bins", bins) + 1)
     else:
         edges = check_array("bins", bins, "edges", (None,)).copy()
-        check_range("bins", abs(edges), top=1e150)
+        check_range("bins", abs(edges), LARGEST)
     if len(edges) < 2 or np.diff(edges).min() <= 0 or h.min() < edges[0] or h.max() > edges[-1]:
         raise ValueError(
             f"bins: expected increasing edges from {h.min():g} or less to {h.max():g} or more, "
@@ -566,88 +457,29 @@ def _bin_edges(bins: int | npt.ArrayLike, h: Array) -> Array:
 
 # ---------------------------------------------------------------------------- models that learn
 
-
-class Network(NamedTuple):
-    """A small convolutional network that reads the altitude off a picture.
-
-    (N, side, side) -> windows of 4^2 -> windows of 3^2 -> one window of all -> one number, with
-    max(0, x) after all but the last.
-    """
-
-    side: int  #: of its pictures, in pixels
-    layers: list[Layer]
-
-    @property
-    def parameters(self) -> int:
-        """Number of trained weights, counted from the arrays."""
-        return sum(layer.weight.size + layer.bias.size for layer in self.layers)
-
-    @property
-    def multiply_adds(self) -> int:
-        """Multiplications a picture, counted from the arrays: each weight once a window."""
-        S, total = self.side, 0
-        for layer in self.layers:
-            S = (S - layer.window) // 2 + 1
-            total += S**2 * layer.weight.size
-        return total
-
-    def altitude(self, pictures: npt.ArrayLike) -> Array:
-        """Estimate altitudes (N,) in feet, within range, from pictures (N, side, side)."""
-        S = self.side
-        checked = check_array("pictures", pictures, "N side side", (None, S, S))
-        log = CENTRE + SPREAD * forward(self.layers, checked)[0].astype(np.float64)
-        return np.clip(np.exp(log) - MOUNT, LOWEST, HIGHEST)
+#: What the networks read: altitudes that the camera sees.
+REACH = nets.Reach(MOUNT, LOWEST, HIGHEST)
+LOG_MEAN, LOG_DEVIATION = REACH.log_mean, REACH.log_deviation
+CENTRE, SPREAD = LOG_MEAN, LOG_DEVIATION  # their old names
 
 
-#: Networks learn (log z - CENTRE) / SPREAD of the distance z, which has mean 0 and variance 1:
-#: pictures depend on ratios of distances, and errors that grow with z are equal in log z.
-CENTRE = math.log((LOWEST + MOUNT) * (HIGHEST + MOUNT)) / 2
-SPREAD = math.log((HIGHEST + MOUNT) / (LOWEST + MOUNT)) / math.sqrt(12)
-
-
-def new_network(shape: tuple[int, int, int], rng: np.random.Generator) -> Network:
-    """Draw a network with N(0, 2 / inputs) weights (He et al. 2015).
-
-    Its `shape` (3,) is a row of `ARCHITECTURE`, of 8 pixels a side or more; else ValueError.
-    """
-    layers = nets.new_layers(shape, rng)
-    return Network(check_count("shape", shape[0]), layers)
-
-
-def train_network(
-    network: Network,
-    pictures: npt.ArrayLike,
-    altitude: npt.ArrayLike,
-    epochs: int,
-    rng: np.random.Generator,
-) -> Array:
-    """Train a network in place by Adam (Kingma and Ba 2015); return the loss (epochs,).
-
-    The `pictures` (N, side, side) are seen from `altitude` (N,) in ft; ValueError if not.
-    Batches of about 32 pictures, turned or mirrored at random, as the ground has no upright; the
-    step rises to 0.003 in the first epoch, and falls to 0 along a cosine.  The unit of the loss
-    is `SPREAD` squared.
-    """
-    S, passes = network.side, check_count("epochs", epochs)
-    pictures = check_array("pictures", pictures, "N side side", (None, S, S))
-    altitude = camera.check_altitude(altitude, len(pictures))
-    check_rng(rng)
-    target = ((np.log(altitude + MOUNT) - CENTRE) / SPREAD).astype(np.float32)
-    return nets.train(network.layers, pictures, target, passes, rng)
+def new_network(shape: tuple[int, int, int], rng: Rng) -> Network:
+    """Draw a network for the camera, with random weights; `shape` is a row of `ARCHITECTURE`."""
+    return nets.draw_network(shape, REACH, rng)
 
 
 class Trained(NamedTuple):
     """W networks, how they learned, and how they err on pictures that they never saw."""
 
     networks: list[Network]
-    losses: Array  #: (W, epochs), mean squared error in training, in units of SPREAD^2
-    residuals: Residuals  #: of the M held-out pictures, all those of the first network first
+    losses: Array  #: (W, epochs), mean squared error in training, in units of LOG_DEVIATION^2
+    residuals: Residuals  #: on the M held-out pictures, all those of the first network first
 
 
 def train_models(
-    rng: np.random.Generator,
+    rng: Rng,
     *,
-    architecture: Sequence[tuple[int, int, int]] = ARCHITECTURE,
+    architecture: Sizes = ARCHITECTURE,
     training: int = 2093,
     held_out: int = 897,
     epochs: int = 30,
@@ -655,53 +487,34 @@ def train_models(
 ) -> Trained:
     """Photograph, train, and measure on pictures held out: ``subsec:expAirsim`` in small.
 
-    All networks see the same scenes, each at its own resolution.
-
-    Parameters
-    ----------
-    rng : numpy.random.Generator
-        Source of randomness.
-    architecture : sequence of (int, int, int)
-        Sizes of the networks, as in `ARCHITECTURE`.
-    training, held_out, epochs : int
-        Numbers of pictures, and of passes through the former, all >= 1; else ValueError.
-    progress : bool
-        Whether to show a bar, if the output is a terminal.
+    All networks, one a row of `architecture`, see the same scenes, each at its own resolution:
+    `training` pictures in so many `epochs`, and then, once, the `held_out` ones.
     """
+    sizes = check_array("architecture", architecture, "W 3", (None, 3))
     n, M = check_count("training", training), check_count("held_out", held_out)
-    passes, sizes = check_count("epochs", epochs), _check_architecture(architecture)
-    W = len(sizes)
     scenes, h, pitch = draw_views(n + M, rng)
-    networks, losses = [new_network(size, rng) for size in sizes], []
-    residuals = np.empty((W, M))
-    for w in tqdm(range(W), "Training", leave=False, disable=not progress or None):
-        pictures = photograph(scenes, h, networks[w].side, rng, pitch=pitch)
-        losses.append(train_network(networks[w], pictures[:n], h[:n], passes, rng))
-        residuals[w] = networks[w].altitude(pictures[n:]) - h[n:]
-    return Trained(networks, np.array(losses), _measured(np.tile(h[n:], W), residuals.ravel(), W))
+    networks = [new_network(size, rng) for size in sizes]
+    losses, errors = [], []
+    for network in with_bar(networks, "Training", progress):
+        pictures = photograph(scenes, h, network.side, rng, pitch=pitch)
+        losses.append(train_network(network, pictures[:n], h[:n], epochs, rng))
+        errors.append(network.altitude(pictures[n:]) - h[n:])
+    W = len(networks)
+    measured = _name_models(np.tile(h[n:], W), np.concatenate(errors), W)
+    return Trained(networks, np.array(losses), measured)
 
 
-def measure_models(networks: Sequence[Network], count: int, rng: np.random.Generator) -> Residuals:
-    """Measure networks on `count` >= 1 new pictures: fresh data, for a second opinion.
-
-    ValueError without networks, and as in `sample_errors`.
-    """
+def measure_models(networks: Sequence[Network], count: int, rng: Rng) -> Residuals:
+    """Measure networks on `count` new pictures: fresh data, for a second opinion."""
     if not len(networks):
         raise ValueError("networks: expected one or more, found none")
     scene, h, pitch = draw_views(count, rng)
     seen = [n.altitude(photograph(scene, h, n.side, rng, pitch=pitch)) - h for n in networks]
-    return _measured(np.tile(h, len(seen)), np.concatenate(seen), len(seen))
+    return _name_models(np.tile(h, len(seen)), np.concatenate(seen), len(seen))
 
 
-def _check_architecture(architecture: npt.ArrayLike) -> list[tuple[int, int, int]]:
-    """Return the sizes of networks, or raise ValueError."""
-    table = check_array("architecture", architecture, "W 3", (None, 3))
-    side, filters, width = ([check_count("architecture", k) for k in column] for column in table.T)
-    return list(zip(side, filters, width, strict=True))
-
-
-def _measured(altitude: Array, residual: Array, W: int) -> Residuals:
-    """Name the models of residuals that come in W blocks of equal length."""
+def _name_models(altitude: Array, residual: Array, W: int) -> Residuals:
+    """Residuals of b0, b1, ..., which come in W blocks of equal length."""
     model = np.repeat(np.arange(W), len(residual) // W)
     return Residuals([f"b{w}" for w in range(W)], model, altitude, residual)
 
@@ -709,40 +522,19 @@ def _measured(altitude: Array, residual: Array, W: int) -> Residuals:
 def pack_models(trained: Trained, key: str) -> bytes:
     """Return the .npz file from which `load_models` restores `trained`, marked with `key`."""
     file, found = io.BytesIO(), trained.residuals
-    arrays: dict[str, Any] = {
-        "losses": trained.losses,
-        "altitude": found.altitude,
-        "residual": found.residual,
-    }
-    for w, network in enumerate(trained.networks):
-        for i, layer in enumerate(network.layers):
-            arrays |= {f"{w}.{i}.0": layer.weight, f"{w}.{i}.1": layer.bias}
-    np.savez(file, key=np.array(key), **arrays)
+    arrays: dict[str, Any] = {"key": np.array(key), "losses": trained.losses}
+    arrays |= {"altitude": found.altitude, "residual": found.residual}
+    np.savez(file, **arrays | nets.named_arrays(trained.networks))
     return file.getvalue()
 
 
-def load_models(
-    path: str | os.PathLike[str],
-    key: str,
-    architecture: Sequence[tuple[int, int, int]] = ARCHITECTURE,
-) -> Trained:
+def load_models(path: PathLike, key: str, architecture: Sizes = ARCHITECTURE) -> Trained:
     """Read a file of `pack_models`; ``allow_pickle=False``, so no code in it can run.
 
-    Parameters
-    ----------
-    path : str or path
-        The file.
-    key : str
-        The mark that it must bear, such as a hash of all settings that the models depend on.
-    architecture : sequence of (int, int, int)
-        Sizes of the networks that it must hold.
-
-    Raises
-    ------
-    ValueError
-        A file that is missing, damaged, foreign, or of other settings, in one line.
+    The file at `path` must bear the mark `key`, such as a hash of all settings that the models
+    depend on, and hold networks of this `architecture`.
     """
-    sizes = _check_architecture(architecture)
+    sizes = check_array("architecture", architecture, "W 3", (None, 3))
     networks = [new_network(size, np.random.default_rng(0)) for size in sizes]
     W = len(networks)
     try:
@@ -750,24 +542,31 @@ def load_models(
             found = dict(file)
         if str(found["key"]) != key:
             raise ValueError(f"expected the key {key}, found {str(found['key'])[:40]}")
-        for w, network in enumerate(networks):
-            for i, layer in enumerate(network.layers):
-                for j, (axes, array) in enumerate(zip(("n k", "k"), layer[:2], strict=True)):
-                    name = f"{w}.{i}.{j}"
-                    array[...] = check_array(name, found[name], axes, array.shape)
+        for name, array in nets.named_arrays(networks).items():
+            axes = "n k" if array.ndim == 2 else "k"
+            array[...] = check_array(name, found[name], axes, array.shape)
         losses = check_array("losses", found["losses"], "W epochs", (W, None))
-        return Trained(networks, losses, _measured(found["altitude"], found["residual"], W))
+        return Trained(networks, losses, _name_models(found["altitude"], found["residual"], W))
     except Exception as error:  # damage can surface as almost any of them
         why = " ".join(str(error).split()).split(". ")[0][:150]
         where = " ".join(str(path).split())
         raise ValueError(f"{where}: no file of these models, delete or move it: {why}") from None
 
 
+def with_bar(items: Iterable[Any], title: str, progress: bool) -> Any:
+    """Go through `items` with a bar and its `title`, if tqdm is installed, at a terminal."""
+    try:
+        from tqdm import tqdm
+    except ImportError:
+        return items
+    return tqdm(items, title, leave=False, disable=not progress or None)
+
+
 # ------------------------------------------------------------------------------------- checkers
 
 
 def _check_names(names: Sequence[str]) -> tuple[str, ...]:
-    """Return distinct names that print on one line and survive a CSV file, or raise ValueError."""
+    """Return distinct names that print on one line and survive a CSV file."""
     found = () if isinstance(names, str) or not np.iterable(names) else tuple(names)
     good = all(isinstance(n, str) and n and n == n.strip() and n.isprintable() for n in found)
     if not (found and good and len(set(found)) == len(found)):
@@ -775,27 +574,25 @@ def _check_names(names: Sequence[str]) -> tuple[str, ...]:
     return found
 
 
-def _check_trajectory(trajectory: npt.ArrayLike) -> Array:
-    """Return the altitudes (H,) of a trajectory, or raise ValueError."""
+def _check_trajectory(trajectory: ArrayLike) -> Array:
+    """Return the altitudes (H,) of a trajectory."""
     h = check_array("trajectory", trajectory, "H", (None,))
-    check_range("trajectory", abs(h), top=1e150)
+    check_range("trajectory", abs(h), LARGEST)
     return h
 
 
-def _check_integers(
-    name: str, value: npt.ArrayLike, axes: str, sizes: tuple[int, ...], *, top: int
+_WHOLE: WeakValueDictionary[int, Indices] = WeakValueDictionary()  # what was checked, by its id
+
+
+def _check_whole(
+    name: str, value: ArrayLike, axes: str, sizes: tuple[int, ...], top: int
 ) -> Indices:
-    """Return read-only integers from 0 to top in the given shape, or raise ValueError."""
+    """Return frozen integers from 0 to `top`; what it returned before is not copied."""
     array = check_array(name, value, axes, sizes)
     bad = (array < 0) | (array > top) | (array != np.floor(array))
     if bad.any():
         raise ValueError(f"{name}: expected integers from 0 to {top}, found {array[bad][0]:g}")
-    integers = array.astype(np.intp)
-    integers.flags.writeable = False
-    return integers
-
-
-def _freeze(instance: object, **fields: object) -> None:
-    """Set checked fields of a frozen dataclass."""
-    for name, value in fields.items():
-        object.__setattr__(instance, name, value)
+    known = _WHOLE.get(id(value))
+    whole = known if known is value else frozen(array.astype(np.intp))
+    _WHOLE[id(whole)] = whole
+    return whole

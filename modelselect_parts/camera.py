@@ -109,7 +109,7 @@ def photograph(
     draws the noise of the sensor.
     """
     scene, N, S = _check_scene(scene), len(scene.pose), check_count("side", side)
-    h, seconds = check_altitude(altitude, N), check_number("seconds", seconds)
+    h, seconds = _check_altitude(altitude, N), check_number("seconds", seconds)
     single = as_numbers("pitch", pitch).ndim == 0
     pitch = check_array("pitch", np.full(N, pitch) if single else pitch, "N", (N,))
     check_range("pitch", abs(pitch), LARGEST)
@@ -197,7 +197,7 @@ def _columns(table: Array) -> list[Pictures]:
 # --------------------------------------------------------------------------------- its checkers
 
 
-def check_altitude(altitude: npt.ArrayLike, count: int) -> Array:
+def _check_altitude(altitude: npt.ArrayLike, count: int) -> Array:
     """Return altitudes (count,) in ft that the camera can see."""
     h = check_array("altitude", altitude, "N", (count,))
     if h.min() < LOWEST or h.max() > HIGHEST:

@@ -1,4 +1,4 @@
-"""Small convolutional networks that learn a number from a picture, written out by hand.
+"""Small convolutional networks that read the altitude off a picture, written out by hand.
 
 A layer cuts its input into windows, and takes the same weighted sums of each:
 
@@ -8,7 +8,7 @@ Four of them read a picture, with max(0, Y) after all but the last:
 
     (N, side, side) -> windows of 4 x 4 -> windows of 3 x 3 -> one window of all -> one number
 
-`forward` runs them, `gradients` runs them backwards, and `train` descends by Adam.
+`forward` runs them, `gradients` runs them backwards, and `train_network` descends by Adam.
 """
 
 from __future__ import annotations
@@ -32,6 +32,26 @@ ARCHITECTURE = (
 )
 
 
+class ModelTable(NamedTuple):
+    """What W image models need and achieve: the columns of `EFFICIENTNET`."""
+
+    names: tuple[str, ...]  #: (W,)
+    parameters: Array  #: (W,), trained weights
+    flops: Array  #: (W,), operations per picture: a cost vector
+    top1: Array  #: (W,), ImageNet top-1 accuracy in percent
+    pixels: Array  #: (W,), side of the square input picture
+
+
+#: Tan and Le 2019, Table 2; the picture sizes are those of their code.
+EFFICIENTNET = ModelTable(
+    ("b0", "b1", "b2", "b3", "b4", "b5", "b6", "b7"),
+    check_array("parameters", [5.3e6, 7.8e6, 9.2e6, 12e6, 19e6, 30e6, 43e6, 66e6], "W", (8,)),
+    check_array("flops", [0.39e9, 0.70e9, 1.0e9, 1.8e9, 4.2e9, 9.9e9, 19e9, 37e9], "W", (8,)),
+    check_array("top1", [77.1, 79.1, 80.1, 81.6, 82.9, 83.6, 84.0, 84.3], "W", (8,)),
+    check_array("pixels", [224, 240, 260, 300, 380, 456, 528, 600], "W", (8,)),
+)
+
+
 class Layer(NamedTuple):
     """Every second window of window^2 pixels, times weights, plus bias."""
 
@@ -40,10 +60,75 @@ class Layer(NamedTuple):
     window: int
 
 
-def new_layers(shape: tuple[int, int, int], rng: np.random.Generator) -> list[Layer]:
-    """Draw four layers with N(0, 2 / inputs) weights (He et al. 2015).
+class Reach(NamedTuple):
+    """The altitudes h that a camera sees, and the numbers y that networks take them for.
 
-    Their `shape` is a row of `ARCHITECTURE`: side >= 8 of the picture, filters, width.
+        y = (log z - m) / d,    z = h + mount
+
+    Pictures depend on ratios of the distance z, and errors that grow with z are equal in log z.
+    Where log z is uniform, m and d are its mean and deviation, so that y has mean 0, variance 1.
+    """
+
+    mount: float  #: height of the camera on the landed drone, in ft as all three
+    lowest: float
+    highest: float
+
+    @property
+    def log_mean(self) -> float:
+        """The middle m of log z."""
+        return math.log((self.lowest + self.mount) * (self.highest + self.mount)) / 2
+
+    @property
+    def log_deviation(self) -> float:
+        """Its standard deviation d: that of a uniform number, its range over sqrt(12)."""
+        return math.log((self.highest + self.mount) / (self.lowest + self.mount)) / math.sqrt(12)
+
+    def encode(self, altitude: npt.ArrayLike, count: int) -> Single:
+        """Return y of `altitude` (count,), all of it within reach."""
+        h = check_array("altitude", altitude, "N", (count,))
+        if h.min() < self.lowest or h.max() > self.highest:
+            wanted, found = f"{self.lowest:g} to {self.highest:g}", f"{h.min():g} to {h.max():g}"
+            raise ValueError(f"altitude: expected {wanted} ft, found {found}")
+        y: Array = (np.log(h + self.mount) - self.log_mean) / self.log_deviation
+        return y.astype(np.float32)
+
+    def decode(self, y: Single) -> Array:
+        """Return the altitude of y, or the end of the reach beyond which it lies."""
+        log = self.log_mean + self.log_deviation * y.astype(np.float64)
+        return np.clip(np.exp(log) - self.mount, self.lowest, self.highest)
+
+
+class Network(NamedTuple):
+    """A small convolutional network that reads the altitude off a picture."""
+
+    side: int  #: of its pictures, in pixels
+    layers: list[Layer]
+    reach: Reach  #: what its output stands for
+
+    @property
+    def parameters(self) -> int:
+        """Number of trained weights, counted from the arrays."""
+        return sum(layer.weight.size + layer.bias.size for layer in self.layers)
+
+    @property
+    def multiply_adds(self) -> int:
+        """Multiplications a picture, counted from the arrays: each weight once a window."""
+        S, total = self.side, 0
+        for layer in self.layers:
+            S = (S - layer.window) // 2 + 1
+            total += S**2 * layer.weight.size
+        return total
+
+    def altitude(self, pictures: npt.ArrayLike) -> Array:
+        """Estimate altitudes (N,) in feet, within reach, from pictures (N, side, side)."""
+        checked = _check_pictures(pictures, self.side)
+        return self.reach.decode(_forward(self.layers, checked)[0])
+
+
+def draw_network(shape: tuple[int, int, int], reach: Reach, rng: np.random.Generator) -> Network:
+    """Draw a network with N(0, 2 / inputs) weights (He et al. 2015).
+
+    Its `shape` is a row of `ARCHITECTURE`: side of the picture, filters, width.
     """
     sizes = check_array("shape", shape, "3", (3,))
     side, filters, width = (check_count("shape", k) for k in sizes)
@@ -58,7 +143,17 @@ def new_layers(shape: tuple[int, int, int], rng: np.random.Generator) -> list[La
         weight = (size * rng.standard_normal((inputs, out))).astype(np.float32)
         layers.append(Layer(weight, np.zeros(out, np.float32), k))
         S, channels = (S - k) // 2 + 1, out
-    return layers
+    return Network(side, layers, reach)
+
+
+def named_arrays(networks: Sequence[Network]) -> dict[str, Single]:
+    """Weights and biases by the names of a file: network.layer.0 and network.layer.1."""
+    return {
+        f"{w}.{i}.{j}": array
+        for w, network in enumerate(networks)
+        for i, layer in enumerate(network.layers)
+        for j, array in enumerate(layer[:2])
+    }
 
 
 # ------------------------------------------------------------------- forwards, and backwards
@@ -69,9 +164,7 @@ def forward(layers: Sequence[Layer], pictures: npt.ArrayLike) -> tuple[Single, l
 
     Light and contrast are removed first: each picture gets mean 0 and deviation about 1.
     """
-    checked = check_array("pictures", pictures, "N side side", (None, None, None))
-    check_range("pictures", abs(checked), LARGEST)
-    return _forward(layers, checked)
+    return _forward(layers, _check_pictures(pictures))
 
 
 def _forward(layers: Sequence[Layer], pictures: npt.NDArray[Any]) -> tuple[Single, list[Any]]:
@@ -125,6 +218,13 @@ def _backward(
     return float((error**2).mean()), slopes
 
 
+def _check_pictures(pictures: npt.ArrayLike, side: int | None = None) -> Array:
+    """Return pictures (N, side, side) whose squares do not overflow in single precision."""
+    checked = check_array("pictures", pictures, "N side side", (None, side, side))
+    check_range("pictures", abs(checked), LARGEST)
+    return checked
+
+
 def cut_windows(x: Single, k: int) -> Single:
     """Cut (N, S, S, C) into windows (N, P, P, C k k) of side k, two pixels apart."""
     cut = np.lib.stride_tricks.sliding_window_view(x, (k, k), axis=(1, 2))[:, ::2, ::2]
@@ -143,28 +243,32 @@ def add_windows(D: Single, k: int, shape: tuple[int, ...]) -> Single:
 # -------------------------------------------------------------------------------- learning
 
 
-def train(
-    layers: Sequence[Layer],
-    pictures: npt.NDArray[Any],
-    target: npt.NDArray[Any],
+def train_network(
+    network: Network,
+    pictures: npt.ArrayLike,
+    altitude: npt.ArrayLike,
     epochs: int,
     rng: np.random.Generator,
 ) -> Array:
-    """Fit outputs to `target` (N,) in place by Adam, and return the loss (epochs,).
+    """Train a network in place by Adam, and return the loss (epochs,): mean (output - y)^2.
 
-    Batches of about 32 `pictures` (N, side, side), turned or mirrored at random, as the ground
-    has no upright; the step rises to 0.003 in the first epoch, and falls to 0 along a cosine.
+    The `pictures` (N, side, side) are seen from `altitude` (N,) in ft, which `Reach` makes y.
+    Batches of about 32 are turned or mirrored at random, as the ground has no upright; the step
+    rises to 0.003 in the first epoch, and falls to 0 along a cosine.
     """
-    arrays = [array for layer in layers for array in layer[:2]]
+    passes, pictures = check_count("epochs", epochs), _check_pictures(pictures, network.side)
+    target = network.reach.encode(altitude, len(pictures))
+    check_rng(rng)
+    arrays = [array for layer in network.layers for array in layer[:2]]
     mean, square = ([np.zeros_like(array) for array in arrays] for _ in range(2))
     batches = -(-len(target) // 32)
-    steps, losses = epochs * batches, np.zeros(epochs)
+    steps, losses = passes * batches, np.zeros(passes)
     for t in range(steps):
         if t % batches == 0:
             order = rng.permutation(len(target))
         batch = order[t % batches :: batches]
         turned = np.rot90(pictures[batch], int(rng.integers(4)), (1, 2))[:, :: rng.choice([-1, 1])]
-        loss, slopes = _backward(layers, *_forward(layers, turned), target[batch])
+        loss, slopes = _backward(network.layers, *_forward(network.layers, turned), target[batch])
         losses[t // batches] += loss / batches
         rate = 0.003 * min((t + 1) / batches, (1 + math.cos(math.pi * t / steps)) / 2)
         for array, slope, m, v in zip(arrays, slopes, mean, square, strict=True):

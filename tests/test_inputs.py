@@ -773,6 +773,10 @@ ROWS: dict[str, tuple[Callable[..., Any], dict[str, Arg]]] = {
         perception.measure_models,
         {"networks": record(lambda: [network()]), "count": count(2), "rng": RNG},
     ),
+    "with_bar": (
+        perception.with_bar,
+        {"items": FLAG, "title": FLAG, "progress": FLAG},  # see test_perception.py
+    ),
     "pack_models": (perception.pack_models, {"trained": TRAINED, "key": Arg("flag", "key")}),
     "load_models": (
         lambda path="models.npz", key="key", architecture=SIZES: perception.load_models(

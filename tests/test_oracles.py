@@ -71,6 +71,7 @@ gaussian_suite | test_gaussian_suite_evaluates_its_formulas | a plain loop over 
 textbook_suite | test_textbook_suite_follows_its_formulas | the printed formulas and their jitter
 sample_errors | test_sampled_errors_have_the_moments_of_the_suite | exact covariances, six standard errors
 check_rng | test_sample_errors_refuses | messages written by hand
+with_bar | test_perception_stands_on_numpy_and_scipy_alone | a Python that finds nothing else
 ModelTable | test_the_efficientnet_table | the table as published
 Residuals read_residuals write_residuals | test_the_file_format | lines of text by hand
 fit_suite | test_fit_equals_a_plain_loop | a plain loop, to the last bit

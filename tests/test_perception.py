@@ -4,14 +4,20 @@ Random checks allow six standard errors, which a normal number exceeds once in 5
 """
 
 import math
+import pickle
+import subprocess
+import sys
+from copy import deepcopy
 from dataclasses import FrozenInstanceError, replace
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+import perception
 from modelselect import SelectionProblem
 from perception import (
     EFFICIENTNET,
@@ -162,6 +168,33 @@ def test_a_suite_is_a_frozen_copy(field):
 )
 def test_a_suite_refuses(argument, value, start):
     assert refuses(start, a_suite, **{argument: value})
+
+
+@pytest.mark.parametrize("copy", [deepcopy, lambda thing: pickle.loads(pickle.dumps(thing))])
+@pytest.mark.parametrize("make", [lambda: a_suite(), lambda: some_residuals()])
+def test_copies_are_checked_and_frozen_again(make, copy):
+    original = make()
+    twin = copy(original)
+    assert twin is not original and vars(twin).keys() == vars(original).keys()
+    for field, value in vars(original).items():
+        held = getattr(twin, field)
+        np.testing.assert_array_equal(held, value)
+        if isinstance(value, np.ndarray):
+            assert held.dtype == value.dtype
+            for array in (value, held):
+                with pytest.raises(ValueError):
+                    array.flags.writeable = True
+
+
+def test_another_price_copies_no_table():
+    suite = a_suite()
+    dear = replace(suite, cost=2 * suite.cost)
+    for field in ("mean", "variance", "sample_size", "standard_error"):
+        assert getattr(dear, field) is getattr(suite, field)
+    residuals = some_residuals()
+    assert replace(residuals, residual=-residuals.residual).model is residuals.model
+    with pytest.raises(ValueError, match="model: expected integers from 0 to 0, found 1"):
+        replace(residuals, names=["a"])
 
 
 def test_zero_variance_unavailable_models_and_another_price_are_fine():
@@ -449,7 +482,7 @@ def test_a_jitter_may_be_large_and_one_of_the_two_zero():
         ({"jitter": (0.0, 0.1)}, "rng: expected"),
         ({"signs": "model"}, "rng: expected"),
         ({"signs": "step", "rng": 5}, "rng: expected numpy.random.default_rng(seed), found 5"),
-        ({"signs": "both"}, "signs: expected same, model or step, found 'both'"),
+        ({"signs": "both"}, "signs: expected one of same, model, step, found 'both'"),
     ],
 )
 def test_gaussian_suite_refuses(changes, start):
@@ -822,3 +855,20 @@ def test_read_residuals_refuses_unknown_models_and_bad_paths(tmp_path):
         assert refuses(f"{path}: cannot be read as a CSV file: [Errno", read_residuals, path)
     with pytest.raises(OSError):
         write_residuals(tmp_path, some_residuals())
+
+
+ALONE = """
+import sys
+for name in ("tqdm", "matplotlib", "modelselect", "landing"):
+    sys.modules[name] = None  # not to be found
+import numpy as np, perception
+few = {"architecture": [(8, 1, 2)], "training": 3, "held_out": 2, "epochs": 1}
+print(perception.train_models(np.random.default_rng(0), **few, progress=True).losses.shape)
+"""
+
+
+def test_perception_stands_on_numpy_and_scipy_alone():
+    place = Path(perception.__file__).parent
+    command = [sys.executable, "-c", ALONE]
+    run = subprocess.run(command, cwd=place, capture_output=True, text=True, check=False)
+    assert (run.stdout, run.stderr) == ("(1, 1)\n", "")
