@@ -64,7 +64,7 @@ def derandomise(problem, b):
 # %%
 def halves(integers):
     """Return two lists of equal sum that share out the integers, or None if there are none."""
-    H, schedule = len(integers), ms.solve(ms.partition_problem(integers))
+    schedule = ms.solve(ms.partition_problem(integers))
     if schedule.cost > 0.375:  # well between the two cases, so rounding cannot matter
         return None
     plus, minus = ([a for a, w in zip(integers, schedule.choices, strict=True) if w == side]
