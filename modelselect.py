@@ -705,7 +705,7 @@ def dynamic_program(
     problem: SelectionProblem,
     *,
     time_limit: float | None = None,
-    max_labels: int = WIDTHS[3],
+    max_labels: int = WIDTHS[2],
     gap: float = OPTIMALITY_GAP,
     relaxation: Relaxation | None = None,
 ) -> Schedule:
@@ -713,8 +713,8 @@ def dynamic_program(
 
     Sphere decoding on a Viterbi trellis (modelselect_parts/label_search.py): a label is a partial
     schedule, and goes when it costs too much or when another one dominates it.  Passes keep at
-    most 64, then 1024, 16384 ... labels a step, up to `max_labels` (at least 64; the default
-    takes a gigabyte where it is needed).  A pass that had to drop labels proves the least that
+    most 64, then 1024, then 16384 labels a step, up to `max_labels` (at least 64; more take a
+    gigabyte where they are needed).  A pass that had to drop labels proves the least that
     those cost; one that did not proves the optimum.  A better schedule found by one pass shrinks
     the budget of the next.  Ends with the gap, or after `time_limit` seconds with what is proved
     by then; `relaxation`, of `relax_interior_point` by default, gives d and the first schedule.
@@ -864,7 +864,7 @@ def solve(
     *,
     time_limit: float | None = None,
     gap: float = OPTIMALITY_GAP,
-    max_labels: int = WIDTHS[3],
+    max_labels: int = WIDTHS[2],
 ) -> Schedule:
     """Find and certify a best schedule by the cheapest way that proves it.
 
