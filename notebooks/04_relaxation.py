@@ -727,8 +727,9 @@ def gadget_labels(H, top):
         distinct.append(len(sums))
     schedule = ms.dynamic_program(ms.partition_problem(a.tolist()))
     # Costs lie up to 1e9 below the terms they are summed from: what rounding leaves open is a gap.
-    assert schedule.gap < 1e-3 and (schedule.work["labels"][::-1] <= 3 * np.array(distinct)).all()
-    return schedule.work["labels"][::-1], np.array(distinct)
+    labels = schedule.work["labels"][::-1]
+    assert schedule.gap < 1e-3 and (labels <= 2 * np.array(distinct) + 8).all()
+    return labels, np.array(distinct)
 
 
 long, sizes = gadget_labels(40, 30), 4 ** np.arange(1, 8)
