@@ -728,7 +728,7 @@ def gadget_labels(H, top):
     schedule = ms.dynamic_program(ms.partition_problem(a.tolist()))
     # Costs lie up to 1e9 below the terms they are summed from: what rounding leaves open is a gap.
     labels = schedule.work["labels"][::-1]
-    assert schedule.gap < 1e-3 and (labels <= 2 * np.array(distinct) + 8).all()
+    assert schedule.gap < 1e-2 and (labels <= 2 * np.array(distinct) + 8).all()
     return labels, np.array(distinct)
 
 

@@ -753,7 +753,6 @@ def attempt(argv):
         ("--experiment none", "--experiment"),
         ("--unknown", "--unknown"),
         ("surplus", "surplus"),
-        ("--horizon 1300", "double precision"),
         ("--json {file}/results.json", "--json"),
         ("--json {folder}", "--json: expected a file"),
         ("--json /dev/null", "--json: expected a file"),
