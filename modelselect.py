@@ -733,13 +733,14 @@ def dynamic_program(
     def expired() -> bool:
         return time_left() <= 0
 
-    for width in WIDTHS:
-        if width > max_labels or closed(cost, proved) or (passes and expired()):
+    widths = [width for width in WIDTHS if width <= max_labels]
+    for width in [*widths, widths[-1]]:
+        if closed(cost, proved) or (passes and expired()):
             break
         excess = max(0.0, cost - root - triangle.offset)
-        slack, rounding = SEARCH_SLACK * abs(cost), float(problem.cost_rounding(best))
-        if slack < rounding:  # no hope of a small gap: let labels merge that differ by rounding
-            slack = 30 * rounding
+        rounding = float(problem.cost_rounding(best))
+        hopeless = rounding > OPTIMALITY_GAP * abs(cost) / 4  # then let labels merge up to rounding
+        slack = 30 * rounding if hopeless else max(SEARCH_SLACK * abs(cost), rounding)
         if not steps:
             least = label_search.negligible_strength(triangle, excess, slack)
             steps = label_search.compress(triangle, least, expired)
@@ -748,13 +749,15 @@ def dynamic_program(
         given = label_search.losses(triangle, steps, excess, slack, least)
         found = label_search.search(triangle, steps, given, width, expired)
         labels, passes = found.labels, passes + 1
+        before = cost
         if found.choices is not None:
             better, _ = _swap(problem, found.choices, time_left)
             if (lower := _cost(problem, better)[0]) < cost:
                 best, cost = better, lower
         summing = 4 * trellis.EPS * (abs(root) + abs(found.least))
         proved = max(proved, root + found.least - summing)
-        if found.complete:
+        again = cost < before if found.complete else width < widths[-1]  # with less to give away
+        if not again:
             break
     work = {"labels": labels, "passes": passes, "seconds": perf_counter() - started}
     return _certified(problem, best, d, "dynamic_program", proved, **work)

@@ -57,7 +57,9 @@ def factor(M: Array, deviation: Array, reduced: Array, excess: float) -> Triangl
     share = min(1e-6, max(excess, 0.0) / 100 / max(size**2 @ diagonal, TINY))
     shift = (share + 2 * MATRIX_TOLERANCE * len(diagonal)) * diagonal + TINY
     shifted = reduced - np.einsum("twi,ti->tw", deviation**2, shift.reshape(H, p))
-    lowest, U = np.where(useful, shifted, np.inf).min(axis=1), la.cholesky(M + np.diag(shift))
+    lowest = np.where(useful, shifted, np.inf).min(axis=1)
+    lowest[lowest == np.inf] = 0  # no model is of use: no schedule is better than the best known
+    U = la.cholesky(M + np.diag(shift))
     # By Cauchy and Schwarz e_i^2 <= e'(U'U)e (U'U)^{-1}_ii; a factor of 2 covers rounding.
     inverse = la.solve_triangular(U, np.eye(H * p))
     most = 2 * math.sqrt(max(excess - lowest.sum(), 0.0)) * np.linalg.norm(inverse, axis=1)
