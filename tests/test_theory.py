@@ -509,7 +509,8 @@ def test_the_optimum_is_below_the_gain_exactly_if_the_integers_split_in_halves(
     problem, g = ms.partition_problem(integers, information), gain(len(integers), information)
     schedule = ms.solve(problem)
     balance = np.where(schedule.choices == 0, 1, -1) @ integers
-    assert schedule.is_optimal
+    # Crumbs lie far below the terms (sum a)^2 / 2: rounding leaves a gap, but no doubt.
+    assert schedule.cost - schedule.lower_bound <= 1e-9 * schedule.cost + 1e-12 * sum(integers) ** 2
     if halves(integers):
         assert schedule.cost < g / 2 and balance == 0  # the schedule is the partition
     else:
