@@ -9,9 +9,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+import modelselect
 from modelselect import (
     INFORMATION,
+    PATTERNS,
     ControlTask,
+    Pattern,
     control_cost,
     plan,
     preview_regret,
@@ -217,6 +220,27 @@ def test_measurement_blocks_are_the_cost_of_feeding_back_the_error(task):
         size = size**2 * np.abs(law.S[t]).max()
         block = Psi[t * p : (t + 1) * p, t * p : (t + 1) * p]
         assert np.abs(block - push.T @ law.S[t] @ push).max() <= ROUNDING * size
+
+
+# --------------------------------------------------------------------- a pattern is one row
+
+
+@given(cases(max_horizon=3, max_p=2), SEEDS)
+def test_a_fifth_pattern_is_one_row_of_the_table(case, seed):
+    """Dead reckoning: it never looks again, and acts on this step's estimate as it comes."""
+    task, (x0, _, errors) = case
+    prior = np.random.default_rng(seed).normal(size=(task.horizon, task.p))
+    row = Pattern(lambda look: look.expected, True, False, False, "reckons where it is")
+    assert "reckoning" not in modelselect.INFORMATION
+    PATTERNS["reckoning"] = row
+    try:
+        assert modelselect.INFORMATION[-1] == "reckoning"
+        signs = sign_patterns(task.horizon, task.p)
+        assert regret_is_quadratic(task, x0, prior + signs, errors, "reckoning", prior)
+    finally:
+        del PATTERNS["reckoning"]
+    with pytest.raises(ValueError, match=r"^information: expected one of open_loop"):
+        psi(task, "reckoning")
 
 
 # ------------------------------------------------------------------------------ structure of Psi
