@@ -31,9 +31,9 @@ $(VENV)/bin/python:
 
 .venv: $(VENV)/.dev ## the environment for all but notebooks and benchmarks
 
-# The modules alone, for those who only run them.
+# What landing.py needs: the modules, figures and progress bars.
 $(VENV)/.run: pyproject.toml constraints.txt | $(VENV)/bin/python
-	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable .
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[landing]'
 	@touch $@
 
 $(VENV)/.dev: pyproject.toml constraints.txt | $(VENV)/bin/python

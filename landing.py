@@ -21,21 +21,22 @@ From the shell, ``python landing.py --help``; from a notebook::
     plot_schedule(result)
 """
 
+from __future__ import annotations
+
 import os
 
 if __name__ == "__main__":  # before NumPy: threads slow down small matrices, tenfold if busy
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import argparse
+import csv
 import hashlib
 import io
 import math
 import sys
 import tempfile
-from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import asdict, dataclass, replace
-from functools import reduce
 from json import dumps
 from pathlib import Path
 from time import perf_counter
@@ -43,64 +44,43 @@ from typing import Any, NamedTuple
 
 import matplotlib.pyplot as plt
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 from scipy.signal import cont2discrete
-from scipy.special import ndtri, stdtrit
-from tqdm import tqdm
 
 import modelselect as ms
+import perception
 from modelselect import Array, Choices, ControlTask, Schedule, SelectionProblem
-from perception import (
-    ARCHITECTURE,
-    EFFICIENTNET,
-    HIGHEST,
-    LOWEST,
-    MOUNT,
-    SPREAD,
-    Network,
-    PerceptionSuite,
-    Residuals,
-    Trained,
-    altitude_bins,
-    bootstrap_errors,
-    check_rng,
-    draw_pose,
-    draw_scenes,
-    fit_suite,
-    guard_suite,
-    load_models,
-    measure_models,
-    pack_models,
-    photograph,
-    published_suite,
-    sample_errors,
-    textbook_suite,
-    train_models,
-    write_residuals,
+from modelselect_parts import figures, flights
+from modelselect_parts.checks import check_choices, check_count, check_name, check_number, check_rng
+from modelselect_parts.figures import STYLE
+from modelselect_parts.flights import (
+    COSTS,
+    FRESH,
+    Regret,
+    fit_landing,
+    fly,
+    half_width,
+    model_cost,
+    root_mean_square,
 )
+from perception import MOUNT, SPREAD, PerceptionSuite, Trained
 
 Rng = np.random.Generator
+LOOK, PRICE = figures.POLICY_STYLE, figures.PERCEPTION_AXIS  # their older names
 
 # -------------------------------------------------------------------------------- two aircraft
 
 
 @dataclass(frozen=True, eq=False)
-class Preset:
-    """An aircraft, its landing, and how the world and the models are drawn.
+class Preset(flights.Aircraft):
+    """An aircraft, and how the world and the models are drawn; the elevator controls it.
 
-    States: altitude, its rate, pitch, its rate.  Control: the elevator.
+    Of an `Aircraft` it has the `task`, `x0`, `prior_mean`, `path` and `dt`.
     """
 
-    task: ControlTask
-    x0: Array  #: (n,), initial state
     draw_inputs: Callable[[Rng, int], Array]  #: generator, trials -> true s (trials, H, p)
-    prior_mean: Array  #: (H, p), expectation of s: all that a causal controller foresees
     draw_suite: Callable[[Rng], PerceptionSuite]  #: at the price Upsilon = 1
     upsilon: float | None  #: price of one model up; None: by `cost_scale`
-    path: Array  #: (H+1,), altitude = path + first state
-    dt: float  #: seconds a step
     unit: str  #: of altitude
 
 
@@ -125,7 +105,7 @@ def _published(H: int) -> Preset:
         x0=np.array([1000, 2, 2, 0.2]),
         draw_inputs=lambda rng, trials: rng.uniform(0, 0.002, (trials, H, 1)),
         prior_mean=np.full((H, 1), 0.001),
-        draw_suite=lambda rng: published_suite(H, rng, upsilon=1.0),
+        draw_suite=lambda rng: perception.published_suite(H, rng, upsilon=1.0),
         upsilon=1e14,
         path=np.zeros(H + 1),
         dt=dt,
@@ -149,7 +129,7 @@ def _textbook(H: int) -> Preset:
         x0=np.array([5.0, 0, 0, 0]),
         draw_inputs=lambda rng, trials: rng.normal(0, 0.3, (trials, H, 1)),
         prior_mean=np.zeros((H, 1)),
-        draw_suite=lambda rng: textbook_suite(path[:-1], rng),
+        draw_suite=lambda rng: perception.textbook_suite(path[:-1], rng),
         upsilon=None,
         path=path,
         dt=dt,
@@ -161,9 +141,9 @@ PRESETS = {"published": _published, "textbook": _textbook}
 
 
 def preset(name: str = "published", horizon: int = 150) -> Preset:
-    """Return the aircraft `name` of `PRESETS`, which lands in `horizon` steps, or ValueError."""
-    run = Settings(preset=name, horizon=horizon)
-    return PRESETS[run.preset](run.horizon)
+    """Return the aircraft `name` of `PRESETS`, which lands in `horizon` steps."""
+    check_name("preset", name, PRESETS)
+    return PRESETS[name](check_count("horizon", horizon))
 
 
 # ------------------------------------------------------------------------------ the experiment
@@ -172,9 +152,8 @@ def preset(name: str = "published", horizon: int = 150) -> Preset:
 def cost_scale(Psi: Array, suite: PerceptionSuite) -> float:
     """Return Upsilon for a Psi (pH, pH) by a rule that was fixed before any result was seen.
 
-    ValueError if the suite has one model only.  The rule is
-    beta Upsilon (W-1) H = 0.2 alpha (expected control term of All Small) at alpha = 0.8 and
-    beta = 0.2, whatever the weights in use, so that sweeping those means something.
+    The rule is beta Upsilon (W-1) H = 0.2 alpha (expected control term of All Small) at
+    alpha = 0.8 and beta = 0.2, whatever the weights in use, so that sweeping those means something.
     """
     H, W, _ = suite.mean.shape
     if W < 2:
@@ -183,44 +162,29 @@ def cost_scale(Psi: Array, suite: PerceptionSuite) -> float:
     return float(0.2 * 0.8 * problem.control_term(np.zeros(H)) / (0.2 * (W - 1) * H))
 
 
-def _simulated(landing: Preset, run: "Settings", rng: Rng, _: Trained | None) -> PerceptionSuite:
+def _simulated(landing: Preset, run: Settings, rng: Rng, _: Trained | None) -> PerceptionSuite:
     """Draw the preset's suite (``subsec:expSimulation``)."""
     return landing.draw_suite(rng)
 
 
-def _trained(
-    landing: Preset, run: "Settings", rng: Rng, trained: Trained | None
-) -> PerceptionSuite:
+def _trained(landing: Preset, run: Settings, _: Rng, trained: Trained) -> PerceptionSuite:
     """Fit what the models did on held-out pictures along the landing (``subsec:expAirsim``)."""
-    trained = learn(run.seed) if trained is None else trained
-    return fit_landing(landing, trained.residuals, model_cost(trained.networks, run.cost), 20)
+    return fit_landing(landing, trained.residuals, model_cost(trained.networks, run.cost))
 
 
-EXPERIMENTS = {"simulated": _simulated, "trained": _trained}
-COSTS = {"linear": "w * Upsilon", "counted": "operations, b7 at 7 Upsilon"}
+EXPERIMENTS: Any = {"simulated": _simulated, "trained": _trained}
+#: What an experiment takes by default instead; a drone has no forecast.
+DEFAULTS: dict[str, dict[str, Any]] = {
+    "trained": {"preset": "textbook", "information": "measurement", "cost": "counted"}
+    | {"alpha": 0.6, "beta": 0.4}
+}
+#: What those settings may be that are names.
 NAMES: Any = {
     "experiment": EXPERIMENTS,
     "preset": PRESETS,
-    "information": ms.INFORMATION,
+    "information": ms.PATTERNS,
     "cost": COSTS,
 }
-#: What an experiment takes by default where that is not what `Settings` says.
-DEFAULTS: dict[str, dict[str, Any]] = {
-    "trained": {
-        "preset": "textbook",
-        "information": "measurement",  # a drone has no forecast
-        "cost": "counted",
-        "alpha": 0.6,
-        "beta": 0.4,
-    }
-}
-
-
-def _check_name(argument: str, name: object, known: Collection[str]) -> None:
-    """Raise ValueError unless a name is among those that are known."""
-    if not isinstance(name, str) or name not in known:
-        found = ms.shown(name)
-        raise ValueError(f"{argument}: expected one of {', '.join(known)}, found {found}")
 
 
 @dataclass(frozen=True)
@@ -229,7 +193,7 @@ class Settings:
 
     experiment: str = "simulated"  #: one of `EXPERIMENTS`
     preset: str = "published"  #: one of `PRESETS`
-    information: str = "open_loop"  #: one of `modelselect.INFORMATION`
+    information: str = "open_loop"  #: one of `modelselect.PATTERNS`
     horizon: int = 150  #: steps of a landing
     trials: int = 100  #: landings
     alpha: float = 0.8  #: weight of control cost (``eq:jtot``)
@@ -239,14 +203,13 @@ class Settings:
     seed: int = 0  #: of everything random
 
     def __post_init__(self) -> None:
-        for name, value in asdict(self).items():
-            if name in NAMES:
-                _check_name(name, value, NAMES[name])
-            if name in ("horizon", "trials", "seed"):
-                value = ms.check_count(name, value, minimum=int(name != "seed"))
-            if name in ("alpha", "beta") or (name == "upsilon" and value is not None):
-                value = ms.check_number(name, value, minimum=0)
-            object.__setattr__(self, name, value)
+        for name, known in NAMES.items():
+            check_name(name, getattr(self, name), known)
+        for name, minimum in {"horizon": 1, "trials": 1, "seed": 0}.items():
+            count = check_count(name, getattr(self, name), minimum=minimum)
+            object.__setattr__(self, name, count)
+        for name in ("alpha", "beta", "upsilon")[: 2 + (self.upsilon is not None)]:
+            object.__setattr__(self, name, check_number(name, getattr(self, name), minimum=0))
         if self.experiment == "trained" and self.preset != "textbook":
             raise ValueError(f"preset: the cameras need textbook altitudes, found {self.preset!r}")
         if self.experiment == "simulated" and self.cost != "linear":
@@ -297,43 +260,17 @@ def policies(
     """
     H, W, _ = problem.mean.shape
     constant = np.repeat(np.arange(W)[:, None], H, axis=1)
-    each = (ms.check_array("errors", e, "H W p", problem.mean.shape) for e in errors)
-    known = (replace(problem, mean=e, variance=np.zeros_like(e)) for e in each)
-    optimal = ms.check_choices(optimal, H, W)
+    known = (replace(problem, mean=e, variance=np.zeros_like(problem.mean)) for e in errors)
     return {
         "Oracle": None,
         "Clairvoyant": np.array([ms.solve(trial).choices for trial in known]),
-        "Optimal": optimal,
+        "Optimal": check_choices(optimal, H, W),
         "Best Single": constant[problem.total_cost(constant).argmin()],
         "Greedy": ms.stepwise_cost(problem).argmin(axis=1),
         "Random": check_rng(rng).integers(W, size=H),
         "All Large": constant[-1],
         "All Small": constant[0],
     }
-
-
-def fly(
-    landing: Preset, information: str, s: Array, errors: Array, choices: Choices | None
-) -> tuple[Array, Array]:
-    """Roll out all trials; return altitudes (trials, H+1) and control costs (trials,).
-
-    s is (trials, H, p), errors of all models are (trials, H, W, p), choices (H,), (trials, H), or
-    None for estimates without error; `information` is a pattern.  ValueError if not.
-    """
-    ms.check_information(information)
-    H, p = landing.task.horizon, landing.task.p
-    s = ms.check_array("s", s, "trials H p", (None, H, p))
-    errors = ms.check_array("errors", errors, "trials H W p", (len(s), H, None, p))
-    error = np.zeros_like(s)
-    if choices is not None:
-        c = ms.check_choices(choices, H, errors.shape[2])
-        if c.ndim > 1 and c.shape != s.shape[:2]:
-            raise ValueError(f"choices: expected shape {s.shape[:2]} or ({H},), found {c.shape}")
-        run = np.broadcast_to(c, s.shape[:2])[..., None, None]
-        error = np.take_along_axis(errors, run, axis=2)[:, :, 0]
-    prior = landing.prior_mean if information == "causal" else None
-    x, u = ms.run_controller(landing.task, landing.x0, s, s + error, information, prior)
-    return landing.path + x[..., 0], ms.control_cost(landing.task, x, u)
 
 
 def run_experiment(
@@ -343,7 +280,6 @@ def run_experiment(
 
     Suite, inputs, errors and Random draw from streams of their own, so that further trials
     change neither the problem nor the first trials.  Networks that are not given are trained.
-    ValueError as in `modelselect.psi`.
     """
     run = Settings() if settings is None else settings
     streams = np.random.default_rng(run.seed).spawn(4)
@@ -357,23 +293,22 @@ def run_experiment(
     if not math.isfinite(float(suite.cost.max()) * upsilon):
         raise ValueError(f"upsilon: the costs overflow, found {upsilon:g}")
     suite = replace(suite, cost=suite.cost * upsilon)
-    tables = (suite.mean, suite.variance, suite.cost)
-    problem = SelectionProblem(Psi, *tables, run.alpha, run.beta)
+    problem = SelectionProblem(Psi, suite.mean, suite.variance, suite.cost, run.alpha, run.beta)
     started = perf_counter()
     optimal = ms.solve(problem)
     seconds = perf_counter() - started
 
     s = landing.draw_inputs(streams[1], run.trials)
-    errors = sample_errors(suite, run.trials, streams[2])
-    bar = tqdm(errors, "Clairvoyant", leave=False, disable=not progress or None)
-    flights = {}
+    errors = perception.sample_errors(suite, run.trials, streams[2])
+    bar = perception.with_bar(errors, "Clairvoyant", progress)
+    flown = {}
     for policy, choices in policies(problem, optimal.choices, bar, streams[3]).items():
         altitude, control = fly(landing, run.information, s, errors, choices)
         paid = np.zeros(run.trials) + (0 if choices is None else problem.perception_term(choices))
         reward = -run.alpha * control - run.beta * paid
-        flights[policy] = Flights(choices, altitude, control, paid, reward)
+        flown[policy] = Flights(choices, altitude, control, paid, reward)
     used = replace(run, upsilon=upsilon)
-    return Result(used, landing, suite, problem, optimal, seconds, flights, trained)
+    return Result(used, landing, suite, problem, optimal, seconds, flown, trained)
 
 
 def pareto(
@@ -386,43 +321,17 @@ def pareto(
     exceeds P- by at most r C-: so r = 0.01 (P+ - P-) / C- to 100 (P+ - P-) / C+ reaches both
     ends to 1%.  Weighted sums find the corners of the front's convex hull, nothing in between.
     """
-    points = ms.check_count("points", points)
+    points = check_count("points", points)
     ends = [ms.solve(replace(problem, alpha=a, beta=1 - a)).choices for a in (1.0, 0.0)]
     (least, most), (dear, cheap) = problem.control_term(ends), problem.perception_term(ends)
     span, ratio = dear - cheap, np.ones(1)
     if span > 0 and most > 0:  # else there is nothing to trade
         ratio = np.geomspace(0.01 * span / most, 100 * span / max(least, 1e-6 * most), points)
-    bar = tqdm(ratio, "Pareto front", leave=False, disable=not progress or None)
+    bar = perception.with_bar(ratio, "Pareto front", progress)
     return ratio, [ms.solve(replace(problem, alpha=r / (1 + r), beta=1 / (1 + r))) for r in bar]
 
 
 # --------------------------------------------------------------------- models trained on pictures
-
-
-def model_cost(networks: Sequence[Network], cost: str) -> Array:
-    """Return the costs (W,) of networks: w, or the multiply-adds times (W-1) / the largest.
-
-    The first if `cost` is ``linear``, the second if ``counted``; else ValueError.
-    """
-    _check_name("cost", cost, COSTS)
-    if not len(networks):
-        raise ValueError("networks: expected one or more, found none")
-    counted = np.array([float(network.multiply_adds) for network in networks])
-    W = len(counted)
-    return (W - 1) * counted / counted.max() if cost == "counted" else np.arange(float(W))
-
-
-def fit_landing(
-    landing: Preset, measured: Residuals, cost: Array, bins: int, *, guard: bool = False
-) -> PerceptionSuite:
-    """Fit a suite in bins of equally many residuals; with `guard`, its upper confidence bounds.
-
-    `cost` (W,) and the number of `bins` are those of `fit_suite`, with its errors.
-    """
-    h = landing.path[:-1]
-    edges = altitude_bins(measured.altitude, h, bins)
-    suite = fit_suite(measured, h, cost, bins=edges)
-    return guard_suite(suite) if guard else suite
 
 
 def learn(
@@ -430,297 +339,111 @@ def learn(
 ) -> Trained:
     """Train the models of a `seed`, or load those that are in the folder; else save them there.
 
-    The `options` are those of `train_models`.  ValueError as in `load_models`; no file is
-    overwritten.
+    The `options` are those of `train_models`; no file is overwritten.
     """
-    seed, sizes = ms.check_count("seed", seed, minimum=0), options.get("architecture", ARCHITECTURE)
-    made_of = repr((1, seed, sizes, sorted(options.items()), MOUNT, LOWEST, HIGHEST))
+    seed = check_count("seed", seed, minimum=0)
+    sizes = options.get("architecture", perception.ARCHITECTURE)
+    scales = (MOUNT, perception.LOWEST, perception.HIGHEST)
+    made_of = repr((1, seed, sizes, sorted(options.items()), *scales))
     key = hashlib.sha256(made_of.encode()).hexdigest()[:16]
     path = None if folder is None else folder / f"models-{key}.npz"
     if path is not None and path.exists():
-        return load_models(path, key, sizes)
+        return perception.load_models(path, key, sizes)
     stream = np.random.default_rng(seed).spawn(1)[0]
-    trained = train_models(stream, progress=progress, **options)
+    trained = perception.train_models(stream, progress=progress, **options)
     if path is not None:
-        write_atomically(path, pack_models(trained, key))
+        write_atomically(path, perception.pack_models(trained, key))
     return trained
 
 
+def _learned(result: Result) -> Trained:
+    if result.trained is None:
+        raise ValueError("result: expected one of experiment trained, found no networks")
+    return result.trained
+
+
 def fly_on_pictures(result: Result, s: Array, choices: Choices, seed: int) -> tuple[Array, ...]:
-    """Land by what the scheduled networks see; return altitude, control cost and errors.
+    """Land by sight, with the aircraft, networks and pattern of a result: see `fly_by_sight`.
 
-    At every step each trial takes a picture from its true altitude and pitch, and acts on what
-    the network makes of it: u_t = -K_t (x_t + C e_t) under ``measurement``,
-    u_t = -K_t x_t - S_t^{-1}B'P_{t+1}C (s_t + e_t) under ``causal`` (inputs have mean zero).  The
-    scene stays the same in a landing, but for what moves and shakes; so errors depend on the
-    state, and on those before.  Beyond its range the camera sees what it sees at the end of it;
-    its mount turns by 0.2 rad at most.
-
-    Parameters
-    ----------
-    result : Result
-        Of experiment ``trained``, under ``measurement`` or ``causal``; else ValueError.
-    s : ndarray, (trials, H, 1)
-        True inputs.
-    choices : ndarray, (H,)
-        The schedule.
-    seed : int
-        Of the scenes: the same for all policies.
-
-    Returns
-    -------
-    altitude (trials, H+1), control cost (trials,), error s_hat - s (trials, H, 1)
+    True inputs s are (trials, H, 1), `choices` (H,), and the `seed` is that of the scenes.  Returns
+    altitude (trials, H+1), control cost (trials,), error s_hat - s (trials, H, 1).
     """
-    landing, information = result.landing, result.settings.information
-    if result.trained is None or information not in ("measurement", "causal"):
-        raise ValueError(f"information: a flight has no forecast, found {information!r}")
-    A, B, C, _, _ = landing.task.over_time()
-    H, W, p = result.suite.mean.shape
-    s = ms.check_array("s", s, "trials H p", (None, H, p))
-    choices = ms.check_choices(ms.check_array("choices", choices, "H", (H,)), H, W)
-    seed = ms.check_count("seed", seed, minimum=0)
-    (P, S, K, _), rng, N = ms.riccati(landing.task), np.random.default_rng(seed), len(s)
-    scene, x, u, e = draw_scenes(N, rng), [np.tile(landing.x0, (N, 1))], [], []
-    for t, w in enumerate(choices):
-        h, network = landing.path[t] + x[t][:, 0], result.trained.networks[w]
-        pitch, seconds = np.clip(x[t][:, 2], -0.2, 0.2), t * landing.dt
-        shaken, within = scene._replace(pose=draw_pose(N, rng)), np.clip(h, LOWEST, HIGHEST)
-        # Noise of its own stream, so that all policies meet the same poses.
-        noise = np.random.default_rng([seed, t])
-        picture = photograph(shaken, within, network.side, noise, pitch=pitch, seconds=seconds)
-        e.append((network.altitude(picture) - h)[:, None])
-        if information == "measurement":
-            u.append(-(x[t] + e[t] @ C[t].T) @ K[t].T)
-        else:
-            pull = np.linalg.solve(S[t], B[t].T @ P[t + 1] @ C[t])
-            u.append(-x[t] @ K[t].T - (s[:, t] + e[t]) @ pull.T)
-        x.append(x[t] @ A[t].T + u[t] @ B[t].T + s[:, t] @ C[t].T)
-    states = np.stack(x, axis=1)
-    cost = ms.control_cost(landing.task, states, np.stack(u, axis=1))
-    return landing.path + states[..., 0], cost, np.stack(e, axis=1)
-
-
-class Regret(NamedTuple):
-    """Control cost of a policy beyond that of the same controller without errors."""
-
-    predicted: float  #: expected, by the suite
-    gaussian: Array  #: (trials,), with errors of `sample_errors`
-    bootstrap: Array  #: (trials,), with errors of `bootstrap_errors`
-    flown: Array  #: (trials,), by what the networks see
-    paid: float  #: perception cost
+    networks, information = _learned(result).networks, result.settings.information
+    return flights.fly_by_sight(result.landing, networks, information, s, choices, seed)
 
 
 FLOWN = ("Optimal", "Guarded", "Random", "All Large", "All Small")
 
 
 def judge_on_pictures(
-    result: Result,
-    information: str,
-    policies: Sequence[str] = FLOWN,
-    *,
-    progress: bool = False,
+    result: Result, information: str, policies: Sequence[str] = FLOWN, *, progress: bool = False
 ) -> tuple[Result, dict[str, Regret]]:
     """Solve under a pattern without forecast, and fly policies of `FLOWN` in three ways.
 
-    ValueError for another policy, or if `information` is not ``measurement`` or ``causal``.
     Guarded is optimal for the suite of `guard_suite`.  Inputs and Gaussian errors are those of
-    `run_experiment`, and Upsilon follows the rule for the pattern's Psi.
+    `run_experiment`, and Upsilon follows the rule for the Psi of the pattern `information`.
     """
     for policy in policies:
-        _check_name("policies", policy, FLOWN)
+        check_name("policies", policy, FLOWN)
+    trained = _learned(result)
     run = replace(result.settings, information=information, upsilon=None)
-    result = run_experiment(run, trained=result.trained)
-    landing, problem, N, h = result.landing, result.problem, run.trials, result.landing.path[:-1]
-    assert result.trained is not None
-    measured, streams = result.trained.residuals, np.random.default_rng(run.seed).spawn(5)
-    s, ideal = landing.draw_inputs(streams[1], N), result.flights["Oracle"].control_cost
-    errors = sample_errors(result.suite, N, streams[2])
-    edges = altitude_bins(measured.altitude, h, 20)
-    resampled = bootstrap_errors(measured, h, N, streams[4], bins=edges)
-    safe = guard_suite(result.suite)
-    guarded = ms.solve(replace(problem, mean=safe.mean, variance=safe.variance)).choices
-    bar = tqdm(policies, f"Flights ({information})", leave=False, disable=not progress or None)
-    found = {}
-    for policy in bar:
-        choices = guarded if policy == "Guarded" else np.asarray(result.flights[policy].choices)
-        found[policy] = Regret(
-            float(problem.control_term(choices)),
-            fly(landing, information, s, errors, choices)[1] - ideal,
-            fly(landing, information, s, resampled, choices)[1] - ideal,
-            fly_on_pictures(result, s, choices, run.seed)[1] - ideal,
-            float(problem.perception_term(choices)),
-        )
-    return result, found
+    result = run_experiment(run, trained=trained)
+    landing, problem, suite = result.landing, result.problem, result.suite
+    _, inputs, gaussian, _, bootstrap = np.random.default_rng(run.seed).spawn(5)
+    s = landing.draw_inputs(inputs, run.trials)
+    redrawn = flights.redraw_errors(landing, trained.residuals, run.trials, bootstrap)
+    drawn = perception.sample_errors(suite, run.trials, gaussian), redrawn
+    choices = {policy: np.asarray(flown.choices) for policy, flown in result.flights.items()}
+    choices["Guarded"] = ms.solve(flights.pose(problem, perception.guard_suite(suite))).choices
+    bar = perception.with_bar(policies, f"Flights ({information})", progress)
+    given = (landing, trained.networks, information, problem)
+    return result, {k: flights.judge(*given, choices[k], s, drawn, run.seed) for k in bar}
 
 
-FRESH = 2000  # pictures that judge a schedule, seen by no model before
+SIZES = (50, 100, 400, 897)
 
 
 def sample_sizes(
-    result: Result,
-    sizes: Sequence[int] = (50, 100, 400, 897),
-    *,
-    repeats: int = 40,
-    fresh: int = FRESH,
+    result: Result, sizes: Sequence[int] = SIZES, *, repeats: int = 40, fresh: int = FRESH
 ) -> Array:
-    """Return the regret of schedules fitted on few residuals (sizes, 2, repeats).
+    """Return the regret (sizes, 2, repeats) of schedules fitted on few of a result's residuals.
 
-    Of the held-out pictures, n are drawn and a suite is fitted, as it is or guarded by
-    `guard_suite`; its optimal schedule is judged by a suite of `fresh` new pictures.  Regret is
-    the total cost beyond that of the optimum of the latter, as a share of it: a little too much,
-    as this optimum has had some luck as well.  ValueError for a size beyond the residuals.
+    The `sizes`, `repeats` and `fresh` pictures are those of `regret_of_few`.
     """
-    trained, landing, problem = result.trained, result.landing, result.problem
-    assert trained is not None
+    given = (result.landing, _learned(result), result.problem, ms.solve)
     rng = np.random.default_rng([result.settings.seed, 1])
-    old, cost, W = trained.residuals, result.suite.cost, len(trained.networks)
-    fresh, repeats = ms.check_count("fresh", fresh), ms.check_count("repeats", repeats)
-    counts = [
-        ms.check_count("sizes", n, minimum=2) for n in ms.check_array("sizes", sizes, "n", (None,))
-    ]
-    if max(counts) > (M := len(old.residual) // W):
-        raise ValueError(f"sizes: expected numbers up to the {M} residuals, found {sizes}")
-
-    def pose(suite: PerceptionSuite) -> SelectionProblem:
-        return replace(problem, mean=suite.mean, variance=suite.variance)
-
-    new = measure_models(trained.networks, fresh, rng)
-    truth = pose(fit_landing(landing, new, cost, 20))
-    least = ms.solve(truth).cost
-    table = np.empty((len(counts), 2, repeats))
-    for i, k in np.ndindex(len(counts), repeats):
-        chosen = rng.permutation(M)[: counts[i]]
-        rows = (M * np.arange(W)[:, None] + chosen).ravel()
-        few = Residuals(old.names, old.model[rows], old.altitude[rows], old.residual[rows])
-        bins = min(20, max(2, counts[i] // 12))  # which leaves about ten residuals in each
-        for j in range(2):
-            suite = fit_landing(landing, few, cost, bins, guard=bool(j))
-            table[i, j, k] = truth.total_cost(ms.solve(pose(suite)).choices) / least - 1
-    return table
-
-
-def report_pictures(result: Result, *, progress: bool = False) -> str:
-    """Return what became of the models: errors, landings on pictures, sample sizes, as text."""
-    trained = result.trained
-    assert trained is not None
-    lines = ["Held-out errors (ft): parameters, multiply-adds, root mean square ± 95%, by altitude"]
-    edges = np.array([LOWEST, 0, 5, 15, 35, 70, 100])
-    lines += [" " * 46 + "".join(f"{f'to {top:g}':>9}" for top in edges[1:])]
-    h = trained.residuals.altitude.reshape(len(trained.networks), -1)[0]
-    r = trained.residuals.residual.reshape(-1, len(h))
-    place = np.digitize(h, edges)
-    for name, network, e in zip(result.suite.names, trained.networks, r, strict=True):
-        rms, half = root_mean_square(e)
-        row = f"{name} {network.parameters:9,} {network.multiply_adds:10,} {rms:8.2f} ± {half:.2f}"
-        bins = (root_mean_square(e[place == b])[0] for b in range(1, len(edges)))
-        lines += [row.ljust(46) + "".join(f"{value:9.2f}" for value in bins)]
-    for information, fewer in (("measurement", FLOWN), ("causal", (FLOWN[0], *FLOWN[3:]))):
-        judged = judge_on_pictures(result, information, fewer, progress=progress)
-        lines += ["", *_flown(*judged)]
-    lines += [
-        "",
-        "Flown regret exceeds predictions for two reasons.  Errors depend on where they have led:",
-        "the drone pitches to correct, so that its camera looks askew, and leaves the glide path;",
-        "small models suffer most, and an unchanging scene makes errors last, which leads further.",
-        "And Optimal took what looked best on few residuals, partly by luck (see the table below).",
-    ]
-    lines += ["", f"Total cost of schedules fitted on n residuals, judged on {FRESH} new pictures:"]
-    lines += [f"{'n':>5}{'beyond the optimum':>24}{'with guard_suite':>24}  (mean ± 95%, 40 draws)"]
-    sizes = [n for n in (50, 100, 400, 897) if n <= len(h)]
-    for n, pair in zip(sizes, 100 * sample_sizes(result, sizes), strict=True):
-        lines += [f"{n:5}" + "".join(f"{v.mean():15.2f} ± {half_width(v):5.2f}%" for v in pair)]
-    return "\n".join(lines)
-
-
-def root_mean_square(values: Array) -> tuple[float, float]:
-    """Return the root mean square of values (N,), and half of its 95% interval.
-
-    The interval is that of the mean square, through the derivative of the root.
-    """
-    values = _check_values(values)
-    rms = math.sqrt((values**2).mean())
-    return rms, half_width(values**2) / (2 * rms) if rms > 0 else 0.0
-
-
-def _flown(result: Result, found: dict[str, Regret]) -> list[str]:
-    """Tabulate regrets, predicted and flown, and by how much Optimal's reward is larger."""
-    run, best = result.settings, found["Optimal"]
-    lines = [
-        f"Regret under {run.information}, where the drone acts on what it sees as it lands",
-        " " * 12
-        + "".join(f"{head:>19}" for head in ("predicted", "Gaussian errors", "bootstrap"))
-        + "".join(f"{head:>19}" for head in ("flown on pictures", "perception cost"))
-        + f"{'Optimal gains':>19}{'flown':>19}",
-    ]
-
-    def cell(values: Array) -> str:
-        return f"{values.mean():10.1f} ± {half_width(values):6.1f}"
-
-    for policy, regret in found.items():
-        spent = run.beta * (regret.paid - best.paid)
-        gains = [
-            spent + run.alpha * (ours - theirs)
-            for ours, theirs in ((regret.gaussian, best.gaussian), (regret.flown, best.flown))
-        ]
-        row = f"{policy:12}{regret.predicted:19.1f}" + "".join(map(cell, regret[1:4]))
-        lines += [row + f"{regret.paid:19.1f}" + "".join(map(cell, gains)) * (policy != "Optimal")]
-    return lines
+    return flights.regret_of_few(*given, rng, sizes, repeats, fresh)
 
 
 # ---------------------------------------------------------------------------------- the report
 
-#: Means of 100 trials that the authors logged: control cost, and perception cost in Upsilon at
-#: w + 1 for model w.
-EXPERIMENT_1 = {
-    "Oracle": (5.189117e15, 0),
-    "Optimal": (7.299417e15, 628),
-    "Random": (4.871516e16, 664),
-    "All Large": (5.190354e15, 1200),
-    "All Small": (4.915508e17, 150),
+#: Means of 100 trials that the authors logged of experiment 1, and of 2: control cost, and
+#: perception cost in Upsilon at w + 1 for model w.
+LOGGED = {
+    "Oracle": ((5.189117e15, 0), (5.189117e15, 0)),
+    "Optimal": ((7.299417e15, 628), (5.200365e15, 664)),
+    "Random": ((4.871516e16, 664), (7.178464e15, 670)),
+    "All Large": ((5.190354e15, 1200), (5.924078e15, 1200)),
+    "All Small": ((4.915508e17, 150), (1.885632e16, 150)),
 }
-EXPERIMENT_2 = {
-    "Oracle": (5.189117e15, 0),
-    "Optimal": (5.200365e15, 664),
-    "Random": (7.178464e15, 670),
-    "All Large": (5.924078e15, 1200),
-    "All Small": (1.885632e16, 150),
+EXPERIMENT_1, EXPERIMENT_2 = ({policy: row[k] for policy, row in LOGGED.items()} for k in (0, 1))
+PUBLISHED = {
+    "simulated": (Settings(upsilon=1e14), EXPERIMENT_1),
+    "trained": (Settings(upsilon=1e10, alpha=0.6, beta=0.4), EXPERIMENT_2),
 }
-PUBLISHED = {"simulated": (Settings(upsilon=1e14), EXPERIMENT_1)}
-PUBLISHED["trained"] = (Settings(upsilon=1e10, alpha=0.6, beta=0.4), EXPERIMENT_2)
-
-#: Quantity, new, old: percentages (new - old) / |old|, and what the paper says of the number.
-COMPARISONS: dict[str, tuple[tuple[str, str, str, str], ...]] = {
-    "simulated": (
-        ("control_cost", "Optimal", "Random", ""),
-        ("control_cost", "Random", "Optimal", '"567.18% lower control cost" than Random'),
-        ("perception_cost", "Optimal", "Random", ""),
-        ("perception_cost", "All Large", "Random", '"80.72% less perception cost" than Random'),
-        ("reward", "Optimal", "Random", ""),
-        ("control_cost", "Optimal", "All Large", ""),
-        ("perception_cost", "Optimal", "All Large", ""),
-        ("reward", "Optimal", "All Large", ""),
-        ("reward", "All Large", "Optimal", '"53.26% better reward" than All Large'),
-        ("reward", "Oracle", "Optimal", '"77% far from Oracle"; caption: "very close"'),
-    )
-}
-#: The second experiment is described in the same terms, with other numbers.
-OTHER = {"567.18": "38.04", "80.72% less": "79.1% less", "53.26": "13.97", "77% far": "0.3% far"}
-COMPARISONS["trained"] = tuple(
-    (q, new, old, reduce(lambda text, pair: text.replace(*pair), OTHER.items(), said).split(";")[0])
-    for q, new, old, said in COMPARISONS["simulated"]
+#: Quantity, new, old; what the paper prints of (new - old) / |old| in experiment 1, and in 2.
+COMPARISONS = (
+    ("control_cost", "Optimal", "Random", "", ""),
+    ("control_cost", "Random", "Optimal", "567.18% lower", "38.04% lower"),
+    ("perception_cost", "Optimal", "Random", "", ""),
+    ("perception_cost", "All Large", "Random", "80.72% less", "79.1% less"),
+    ("reward", "Optimal", "Random", "", ""),
+    ("control_cost", "Optimal", "All Large", "", ""),
+    ("perception_cost", "Optimal", "All Large", "", ""),
+    ("reward", "Optimal", "All Large", "", ""),
+    ("reward", "All Large", "Optimal", "53.26% better", "13.97% better"),
+    ("reward", "Oracle", "Optimal", "77% far from Oracle", "0.3% far from Oracle"),
 )
-READING = {}
-READING["simulated"] = [
-    '"b7 was never invoked": see its steps above.  No cost falls by more than 100%: 567.18% and',
-    "53.26% are shares of Optimal's own cost, and 80.72% compares two other policies.  Plainly,",
-    "the log says that Optimal has 85% less control cost than Random at 5% less perception cost",
-    "(7% at w * Upsilon), and a reward 35% (39%) better than All Large's: the method holds.",
-]
-READING["trained"] = [
-    "The log is of another aircraft, other pictures and linear costs: compare signs, not sizes.",
-    "38.04% is a share of Optimal's own cost (a cut by 27.6%), and 79.1% compares two other",
-    "policies; there, Optimal has 0.9% less perception cost than Random (1.2% at w * Upsilon).",
-]
 
 
 def published_log(settings: Settings, offset: int = 0) -> dict[str, Array]:
@@ -728,115 +451,86 @@ def published_log(settings: Settings, offset: int = 0) -> dict[str, Array]:
 
     Model w costs (w + offset) * Upsilon: 1 is as logged, 0 converts to the convention of the text.
     """
-    offset = ms.check_count("offset", offset, minimum=0)
-    logged, table = PUBLISHED[settings.experiment]
-    if settings.experiment == "simulated" and replace(settings, trials=100, seed=0) != logged:
+    offset = check_count("offset", offset, minimum=0)
+    logged, table = PUBLISHED.get(settings.experiment, (None, {}))
+    simulated = settings.experiment == "simulated"
+    if logged is None or (simulated and replace(settings, trials=100, seed=0) != logged):
         return {}
     means = {}
     for policy, (control, units) in table.items():
         units += 0 if policy == "Oracle" else logged.horizon * (offset - 1)
         paid = (logged.upsilon or 0) * units
-        reward = -logged.alpha * control - logged.beta * paid
-        means[policy] = np.array([control, paid, reward])
+        means[policy] = np.array([control, paid, -logged.alpha * control - logged.beta * paid])
     return means
 
 
-def _check_values(values: Array) -> Array:
-    """Return numbers (trials,) whose squares do not overflow, or raise ValueError."""
-    checked = ms.check_array("values", values, "trials", (None,))
-    if abs(checked).max() > 1e150:
-        raise ValueError("values: expected numbers of size <= 1e150, found larger ones")
-    return checked
-
-
-def half_width(values: Array) -> float:
-    """Half of the 95% t-interval for the mean of values (trials,); NaN for a single trial."""
-    values = _check_values(values)
-    N = len(values)
-    return float(stdtrit(N - 1, 0.975) * values.std(ddof=1) / math.sqrt(N)) if N > 1 else math.nan
-
-
 def report(result: Result) -> str:
-    """Return the costs, the certificate, the comparisons and the checks of a run, as text."""
-    parts = (_costs(result), _certificate(result), _comparisons(result))
-    return "\n\n".join("\n".join(lines) for lines in parts)
+    """Return the costs of a run's policies and the certificate of its optimum, as text.
 
-
-def _costs(result: Result) -> list[str]:
-    """Tabulate costs and reward of every policy, the published ones below them."""
-    best, log = result.flights["Optimal"], published_log(result.settings)
-    size = best.control_cost.mean()
-    unit = 1000.0 ** math.floor(math.log10(size) / 3) if size > 0 else 1.0
-
-    def cell(values: Array) -> str:
-        constant = len(values) > 1 and np.ptp(values) == 0
-        half = "" if constant else f"± {half_width(values) / unit:.3f}".replace("nan", "-")
-        return f"{values.mean() / unit:12.3f} {half:10}"
-
-    heads = ("control cost", "perception cost", "reward", "Optimal gains")
-    lines = [
-        f"Means of {result.settings.trials} trials ± 95% t-intervals, in units of {unit:.0e}; "
-        f"perception costs are {COSTS[result.settings.cost]}",
-        " " * 12 + "".join(f"{head:>17}      " for head in heads),
-    ]
-    scale = 1e15 if result.settings.experiment == "trained" else unit
-    for policy, flown in result.flights.items():
-        lines += [f"{policy:12}" + "".join(map(cell, (*flown[2:], best.reward - flown.reward)))]
-        if policy in log:
-            lines += [
-                "  published " + "".join(f"{mean / scale:12.3f}{'':11}" for mean in log[policy])
-            ]
+    Below a policy stands what the authors logged of it under the same settings; below all, what is
+    proved of Optimal, how often it runs each model, and how good those are.
+    """
+    run, best, suite = result.settings, result.optimal, result.suite
+    ours = result.flights["Optimal"].reward
+    rows = [flights.estimate(*flown[2:], ours - flown.reward) for flown in result.flights.values()]
+    log = published_log(run)
+    log = log if log and run.preset == PUBLISHED[run.experiment][0].preset else {}
+    given = (np.array(rows), log, run.trials, COSTS[run.cost])
+    lines = figures.table_of_policies(list(result.flights), *given)
     lines += [
-        "Oracle (no error) and Clairvoyant (knows all errors beforehand) are infeasible.",
-        "Optimal gains: its reward less that of the policy, in the same trials.",
-        "Published: experiment 2, of another aircraft, in units of 1e15."[: 99 * (scale != unit)],
-    ]
-    return [line.rstrip() for line in lines if line]
-
-
-def _comparisons(result: Result) -> list[str]:
-    """Tabulate signed percentages; for the published settings beside its log and text."""
-    log = published_log(result.settings)
-    sources = [result.means(), *([log, published_log(result.settings, 1)] if log else [])]
-    heads = ("this run", "log", "at w + 1")[: len(sources)]
-    lines = [f"Percentages, perception at {COSTS[result.settings.cost]}".ljust(56)]
-    lines[0] += "".join(f"{head:>10}" for head in heads)
-    for quantity, new, old, said in COMPARISONS[result.settings.experiment]:
-        q, formula = QUANTITIES.index(quantity), f"({new} - {old}) / |{old}|"
-        row = f"{quantity.replace('_', ' ')}, {formula}".ljust(56)
-        for means in sources:
-            change, base = float(means[new][q] - means[old][q]), float(abs(means[old][q]))
-            row += f"{change / base:+10.1%}" if abs(change) < 1e300 * base else f"{'-':>10}"
-        if log or not said:
-            lines += [row, f"    in the paper: {said}"][: 1 + bool(said)]
-    return lines + READING[result.settings.experiment] * bool(log)
-
-
-def _certificate(result: Result) -> list[str]:
-    """State what is proved of Optimal, how often it runs each model, and how good those are."""
-    best, suite = result.optimal, result.suite
-    used = np.bincount(best.choices, minlength=len(suite.names))
-    runs = ", ".join(f"{model} {n}" for model, n in zip(suite.names, used, strict=True))
-    closer, steadier = (
-        100 * (np.diff(size, axis=1) <= 0).mean() for size in (abs(suite.mean), suite.variance)
-    )
-    return [
+        "",
         f"Optimal: expected total {best.cost:.6e} (less alpha J(u*)), lower bound "
         f"{best.lower_bound:.6e},",
         f"gap {best.gap:.0e}, {'' if best.is_optimal else 'not '}proved optimal by {best.solver} "
         f"in {result.seconds:.2f} s.",
-        f"Its steps: {runs}.",
-        f"The next larger model has the smaller |mean error| in {closer:.1f}%, the smaller "
-        f"variance in {steadier:.1f}% of cases.",
     ]
+    models = figures.table_of_models(suite.names, best.choices, suite.mean, suite.variance)
+    return "\n".join([*lines, *models])
+
+
+def percentages(result: Result) -> list[dict[str, Any]]:
+    """Return the comparisons of the paper in percent, from this run and from the authors' log.
+
+    The log, and what the paper prints, stand only beside settings that they belong to.
+    """
+    log = published_log(result.settings)
+    sources = {"this run": result.means(), "log at w*Upsilon": log}
+    sources["log at (w+1)*Upsilon"] = published_log(result.settings, 1)
+    said = 3 + list(PUBLISHED).index(result.settings.experiment) if log else 0
+    compared = [(*row[:3], row[said] if log else "") for row in COMPARISONS]
+    return figures.table_of_percentages(compared, QUANTITIES, sources)
+
+
+def report_pictures(result: Result, *, progress: bool = False) -> str:
+    """Return what became of the models: errors, landings on pictures, sample sizes, as text.
+
+    Landings are flown under every pattern without forecast, in full under that of the run.
+    """
+    run, (networks, _, residuals) = result.settings, _learned(result)
+    altitude, errors = flights.by_network(residuals)
+    rms, edges, by_altitude = flights.errors_by_altitude(altitude, errors)
+    sizes = np.array([(network.parameters, network.multiply_adds) for network in networks])
+    parts = [figures.table_of_errors(residuals.names, sizes, rms, edges, by_altitude)]
+    within_reach = flights.sensitivities(result.landing.task)
+    patterns = [name for name in within_reach if not ms.PATTERNS[name].foresight]
+    for information in sorted(patterns, key=lambda name: name != run.information):
+        flown = ("Optimal", "All Large", "All Small") if len(parts) > 1 else FLOWN
+        _, found = judge_on_pictures(result, information, flown, progress=progress)
+        compared = flights.compare(found, run.alpha, run.beta)
+        parts += [figures.table_of_regrets(information, list(found), *compared)]
+    counts = [n for n in SIZES if n <= len(altitude)]
+    regret = sample_sizes(result, counts)
+    shares = np.array([flights.estimate(*pair) for pair in regret])
+    parts += [figures.table_of_sizes(counts, shares, regret.shape[2], FRESH)]
+    return "\n\n".join("\n".join(lines) for lines in parts)
 
 
 def summary(result: Result) -> dict[str, Any]:
     """Return what ``--json`` writes: means, 95% intervals (None for one trial), certificate."""
     policies: dict[str, dict[str, Any]] = {policy: {} for policy in result.flights}
     for policy, flown in result.flights.items():
-        for quantity, values in zip(QUANTITIES, flown[2:], strict=True):
-            mean, half = float(values.mean()), half_width(values)
+        rows = flights.estimate(*flown[2:]).tolist()
+        for quantity, (mean, half) in zip(QUANTITIES, rows, strict=True):
             interval = None if math.isnan(half) else [mean - half, mean + half]
             policies[policy] |= {quantity: mean, f"{quantity}_interval": interval}
     return {
@@ -850,100 +544,32 @@ def summary(result: Result) -> dict[str, Any]:
 
 
 # ------------------------------------------------------------------------------------- figures
-
-#: One style for all figures, readable from the last row.
-STYLE: Any = {
-    "axes.grid": True,
-    "figure.constrained_layout.use": True,
-    "figure.dpi": 110,
-    "figure.figsize": (10, 5.6),
-    "font.size": 15,
-    "grid.alpha": 0.3,
-    "legend.frameon": False,
-    "lines.markersize": 11,
-    "mathtext.fontset": "cm",
-}
-#: Axes of perception cost, by `COSTS`.
-PRICE = {
-    "linear": "perception cost (sum of $w \\Upsilon$)",
-    "counted": "perception cost (operations)",
-}
-#: Colours of Okabe and Ito, which the colour-blind tell apart, and markers, hollow if infeasible.
-LOOK: dict[str, dict[str, Any]] = {
-    "Oracle": {"color": "#000000", "marker": "o", "fillstyle": "none"},
-    "Clairvoyant": {"color": "#000000", "marker": "s", "fillstyle": "none"},
-    "Optimal": {"color": "#D55E00", "marker": "o"},
-    "Best Single": {"color": "#0072B2", "marker": "s"},
-    "Greedy": {"color": "#009E73", "marker": "D"},
-    "Random": {"color": "#CC79A7", "marker": "X"},
-    "All Large": {"color": "#E69F00", "marker": "^"},
-    "All Small": {"color": "#56B4E9", "marker": "v"},
-}
+# Which arrays of a run, a task or networks each picture takes.
 
 
-@contextmanager
-def _styled() -> Iterator[None]:
-    """Draw in `STYLE` what is drawn inside."""
-    with plt.rc_context(STYLE):
-        yield
+def _estimates(result: Result, quantity: str) -> Array:
+    """Mean and half of its 95% interval (policies, 2) of one of `QUANTITIES`."""
+    return flights.estimate(*(getattr(flown, quantity) for flown in result.flights.values()))
 
 
-def _dot(axes: Axes, policy: str, x: Array, y: Array) -> None:
-    """Draw the means of x and y over trials (trials,) with their 95% intervals, if any."""
-    axes.plot(x.mean(), y.mean(), ls="", label=policy, **LOOK[policy])
-    dx, dy = np.nan_to_num([half_width(x), half_width(y)])
-    axes.errorbar(x.mean(), y.mean(), dy, dx, fmt="none", ecolor=LOOK[policy]["color"])
-
-
-def _scale(values: Any) -> str:
-    """Return the logarithmic scale if all values are positive."""
-    return "log" if np.min(values) > 0 else "linear"
-
-
-@_styled()
 def plot_schedule(result: Result) -> Figure:
     """Draw the optimal schedule, and how much each step matters (``fig:simulation_ms``)."""
-    figure, (top, bottom) = plt.subplots(2, sharex=True, height_ratios=[3, 1])
-    choices, names = result.optimal.choices, result.suite.names
-    top.step(range(len(choices)), choices, where="mid", color="#999999", linewidth=0.7)
-    top.plot(choices, "o", color=LOOK["Optimal"]["color"], markersize=6)
-    top.set(ylabel="model", yticks=range(len(names)), yticklabels=names)
-    top.set_title(f"Optimal schedule ({result.settings.information})")
-    bottom.plot(result.problem.psi.diagonal().reshape(len(choices), -1).sum(axis=1), "k.-", ms=3)
-    bottom.set(xlabel=f"step (of {result.landing.dt:.3g} s)", ylabel="$\\Psi_{tt}$")
-    return figure
+    choices, title = result.optimal.choices, f"Optimal schedule ({result.settings.information})"
+    matters = result.problem.psi.diagonal().reshape(len(choices), -1).sum(axis=1)
+    return figures.draw_schedule(choices, result.suite.names, matters, title, result.landing.dt)
 
 
-@_styled()
 def plot_costs(result: Result) -> Figure:
     """Draw perception against control cost, with 95% intervals (``fig:simulation_CvL``)."""
-    figure, axes = plt.subplots()
-    for policy, flown in result.flights.items():
-        _dot(axes, policy, flown.perception_cost, flown.control_cost)
-    axes.set(xlabel=PRICE[result.settings.cost], ylabel="control cost")
-    axes.set_title("Lower left is better")
-    axes.set(yscale=_scale([mean[0] for mean in result.means().values()]))
-    figure.legend(loc="outside right upper")
-    return figure
+    paid, control = _estimates(result, "perception_cost"), _estimates(result, "control_cost")
+    return figures.draw_costs(list(result.flights), paid, control, result.settings.cost)
 
 
-@_styled()
 def plot_rewards(result: Result) -> Figure:
     """Draw the rewards with 95% intervals, the best on top (``fig:simulation_rwd``)."""
-    figure, axes = plt.subplots()
-    cost = {policy: -reward for policy, (_, _, reward) in result.means().items()}
-    ranked = sorted(cost, key=cost.__getitem__, reverse=True)
-    for row, policy in enumerate(ranked):
-        reward = result.flights[policy].reward
-        _dot(axes, policy, -reward, np.full_like(reward, row))
-        axes.annotate(f"{-cost[policy]:.3g}", (cost[policy], row + 0.25), ha="center", size=13)
-    axes.set(yticks=range(len(ranked)), yticklabels=ranked, ylim=(-0.5, len(ranked) - 0.3))
-    axes.set(xlabel="minus reward (left is better)", title="Rewards (hollow: infeasible)")
-    axes.set(xscale=_scale(list(cost.values())), xmargin=0.1)
-    return figure
+    return figures.draw_rewards(list(result.flights), _estimates(result, "reward"))
 
 
-@_styled()
 def plot_pareto(result: Result, optima: Sequence[Schedule] | None = None) -> Figure:
     """Draw the front of all alpha : beta, and the policies (``fig:simulation_pareto``).
 
@@ -951,170 +577,62 @@ def plot_pareto(result: Result, optima: Sequence[Schedule] | None = None) -> Fig
     """
     problem = result.problem
     optima = pareto(problem)[1] if optima is None else optima
-    c = [schedule.choices for schedule in optima]
-    figure, axes = plt.subplots()
-    label = f"optimal at {len(c)} $\\alpha:\\beta$\n({sum(o.is_optimal for o in optima)} proved)"
-    axes.plot(problem.perception_term(c), problem.control_term(c), "k.-", label=label)
-    for policy, flown in result.flights.items():
-        if flown.choices is not None and policy != "Clairvoyant":
-            x, y = problem.perception_term(flown.choices), problem.control_term(flown.choices)
-            axes.plot(x, y, ls="", label=policy, **LOOK[policy])
-    axes.set(xlabel=PRICE[result.settings.cost], ylabel="extra control cost")
-    axes.set(yscale=_scale(problem.control_term(c)))
-    axes.set_title("No schedule beats the front in both costs")
-    figure.legend(loc="outside right upper")
-    return figure
+    fixed = {k: f.choices for k, f in result.flights.items() if k not in ("Oracle", "Clairvoyant")}
+    terms = (problem.perception_term, problem.control_term)
+    schedules = ([optimum.choices for optimum in optima], [np.asarray(c) for c in fixed.values()])
+    front, points = (np.transpose([term(c) for term in terms]) for c in schedules)
+    proved = sum(optimum.is_optimal for optimum in optima)
+    return figures.draw_front(front, proved, list(fixed), points, result.settings.cost)
 
 
-@_styled()
 def plot_landing(result: Result) -> Figure:
     """Draw altitude over time: mean, and band of 90% of trials (``fig:simulation_traj_h``)."""
-    figure, panels = plt.subplots(2, 4, sharex=True, figsize=(15, 7.5))
+    altitude = {policy: flown.altitude for policy, flown in result.flights.items()}
     time = result.landing.dt * np.arange(result.settings.horizon + 1)
-    ideal = result.flights["Oracle"].altitude.mean(axis=0)
-    for axes, (policy, flown) in zip(panels.flat, result.flights.items(), strict=True):
-        colour, band = LOOK[policy]["color"], np.quantile(flown.altitude, (0.05, 0.95), axis=0)
-        axes.fill_between(time, *band, color=colour, alpha=0.35)
-        axes.plot(time, flown.altitude.mean(axis=0), color=colour)
-        axes.plot(time, ideal, "k:")
-        axes.set_title(policy)
-    figure.suptitle("Mean and 90% band of trials; dotted: Oracle; note the scales")
-    figure.supxlabel("time (s)")
-    figure.supylabel(f"altitude ({result.landing.unit})")
-    return figure
+    return figures.draw_landings(time, altitude, result.landing.unit)
 
 
-@_styled()
 def plot_efficientnet() -> Figure:
     """Draw accuracy against operations and parameters of EfficientNet (Tan and Le 2019)."""
-    figure, panels = plt.subplots(1, 2, sharey=True)
-    names, parameters, flops, top1, _ = EFFICIENTNET
-    for axes, x in zip(panels, (flops / 1e9, parameters / 1e6), strict=True):
-        axes.semilogx(x, top1, "o-", color=LOOK["Optimal"]["color"])
-        axes.margins(0.15, 0.1)
-        axes.xaxis.set(major_formatter="{x:g}", minor_formatter="")
-        for name, *point in zip(names, x, top1, strict=True):
-            axes.annotate(name, point, (6, -16), textcoords="offset points")
-    panels[0].set(xlabel="operations per picture (billions)", ylabel="ImageNet top-1 accuracy (%)")
-    panels[1].set(xlabel="parameters (millions)", xticks=(5, 10, 20, 50))
-    return figure
+    names, parameters, operations, top1, _ = perception.EFFICIENTNET
+    return figures.draw_published_models(names, operations, parameters, top1)
 
 
-@_styled()
 def plot_psi(task: ControlTask) -> Figure:
-    """Draw |Psi| of the four information patterns, on one logarithmic scale of colours.
-
-    A pattern that is out of reach of double precision stays empty.
-    """
-    figure, panels = plt.subplots(1, 4, sharey=True, figsize=(15, 4.2))
-    found = {}
-    for information in ms.INFORMATION:
-        with suppress(ValueError):
-            found[information] = ms.psi(task, information)
-    largest = max(np.abs(Psi).max() for Psi in found.values()) or 1
-    scale = LogNorm(1e-8 * largest, largest)
-    for axes, information in zip(panels, ms.INFORMATION, strict=True):
-        axes.set(title=f"{information}\nout of reach", xlabel="step $k$")
-        if information in found:
-            Psi = found[information]
-            picture = axes.imshow(np.abs(Psi), norm=scale, cmap="cividis")
-            negative = 100 * (Psi < -1e-8 * largest).mean()
-            axes.set_title(f"{information}\n{negative:.0f}% negative")
-        axes.grid(False)
-    panels[0].set_ylabel("step $t$")
-    figure.colorbar(picture, ax=panels, label="$|\\Psi_{tk}|$ (white: 0)", shrink=0.7)
-    return figure
+    """Draw |Psi| of a task under all information patterns, on one logarithmic scale of colours."""
+    return figures.draw_sensitivities(list(ms.PATTERNS), flights.sensitivities(task))
 
 
-@_styled()
 def plot_gallery(seed: int = 0) -> Figure:
     """Draw three landings of a `seed`, as seen (``fig:airsim_env``, ``fig:airsim_dataset``)."""
-    seed = ms.check_count("seed", seed, minimum=0)
-    altitude = np.array([100.0, 60, 35, 20, 10, 5, 2, 0])
-    rng, N = np.random.default_rng(seed), len(altitude)
-    figure, panels = plt.subplots(4, N, figsize=(16, 8.6))
-    worlds = draw_scenes(3, rng)
-    for axes, h in zip(panels[0], altitude, strict=True):
-        axes.set_title(f"{h:g} ft")
-    for row, (world, side) in zip(panels, [(0, 128), (1, 128), (2, 128), (2, 40)], strict=True):
-        same = type(worlds)(*(np.repeat(table[world : world + 1], N, axis=0) for table in worlds))
-        same = same._replace(pose=draw_pose(N, np.random.default_rng([seed, world])))
-        for axes, picture in zip(row, photograph(same, altitude, side, rng), strict=True):
-            axes.imshow(picture, cmap="gray", vmin=0, vmax=1)
-            axes.set(xticks=[], yticks=[])
-    figure.suptitle("Three landings; below, the third as b7 sees it")
-    return figure
+    altitude, pictures = flights.photograph_landings(seed)
+    heading = "Three landings; below, the third as b7 sees it"
+    return figures.draw_gallery(pictures, [f"{h:g} ft" for h in altitude], heading)
 
 
-@_styled()
 def plot_accuracy(trained: Trained) -> Figure:
     """Draw held-out error against size, with 95% intervals (``fig:all_mod_acc``)."""
-    figure, axes = plt.subplots()
-    r = trained.residuals.residual.reshape(len(trained.networks), -1)
-    x = [network.parameters for network in trained.networks]
-    y, half = zip(*map(root_mean_square, r), strict=True)
-    axes.errorbar(x, y, half, fmt="o-", color=LOOK["Optimal"]["color"], capsize=5)
-    for name, *point in zip(trained.residuals.names, x, y, strict=True):
-        axes.annotate(name, tuple(point), (8, 8), textcoords="offset points")
-    axes.set(xscale="log", xlabel="parameters", ylabel="root mean square error (ft)")
-    return figure
+    error = np.array(list(map(root_mean_square, flights.by_network(trained.residuals)[1])))
+    parameters = np.array([network.parameters for network in trained.networks])
+    return figures.draw_accuracy(trained.residuals.names, parameters, error)
 
 
-@_styled()
 def plot_distribution(trained: Trained, model: int = -1) -> Figure:
-    """Draw the errors of a `model` against altitude (``fig:airsim_distro_b7``); else ValueError."""
-    W = len(trained.networks)
-    if not ms.check_count("model", model, minimum=-W) < W:
-        raise ValueError(f"model: expected one of {W}, found {model}")
-    figure, axes = plt.subplots()
-    h, r = (
-        v.reshape(W, -1)[model] for v in (trained.residuals.altitude, trained.residuals.residual)
-    )
-    order = np.array_split(np.argsort(h), 20)
-    x = [h[part].mean() + MOUNT for part in order]
-    mean, spread = (np.array([f(r[part]) for part in order]) for f in (np.mean, np.std))
-    axes.plot(h + MOUNT, r, "k.", ms=4, alpha=0.5, label="held-out pictures")
-    axes.plot(x, mean, "-", color=LOOK["Optimal"]["color"], label="mean")
-    axes.fill_between(x, mean - spread, mean + spread, alpha=0.3, label="± standard deviation")
-    axes.set(xscale="log", yscale=("symlog"), xlabel="distance of the camera (ft)")
-    axes.set(ylabel="error (ft)", title=f"Errors of {trained.residuals.names[model]}")
-    axes.legend()
-    return figure
+    """Draw the errors of a `model` against altitude (``fig:airsim_distro_b7``)."""
+    names, (altitude, errors) = trained.residuals.names, flights.by_network(trained.residuals)
+    if not check_count("model", model, minimum=-len(names)) < len(names):
+        raise ValueError(f"model: expected one of {len(names)}, found {model}")
+    return figures.draw_distribution(names[model], altitude + MOUNT, errors[model])
 
 
-@_styled()
 def plot_training(trained: Trained) -> Figure:
     """Draw the training error of each model by epoch (``fig:b7_training_plot``)."""
-    figure, axes = plt.subplots()
-    for w, (name, loss) in enumerate(zip(trained.residuals.names, trained.losses, strict=True)):
-        colour, line = plt.get_cmap("viridis")(w / len(trained.losses)), ("-", "--", ":")[w % 3]
-        axes.plot(
-            np.arange(1, len(loss) + 1), SPREAD * np.sqrt(loss), line, color=colour, label=name
-        )
-    axes.set(yscale="log", xlabel="epoch", ylabel="training error of log distance")
-    figure.legend(loc="outside right upper")
-    return figure
+    return figures.draw_training(trained.residuals.names, SPREAD * np.sqrt(trained.losses))
 
 
-@_styled()
 def plot_quantiles(trained: Trained) -> Figure:
-    """Draw quantiles of standardised errors against normal ones: straight if normal.
-
-    Each error is taken relative to the mean and deviation of its bin of altitudes.
-    """
-    figure, panels = plt.subplots(2, 4, sharex=True, sharey=True, figsize=(15, 7.5))
-    h = trained.residuals.altitude.reshape(len(trained.networks), -1)[0]
-    r = trained.residuals.residual.reshape(-1, len(h))
-    bins = np.array_split(np.argsort(h), 20)
-    normal = ndtri((np.arange(len(h)) + 0.5) / len(h))
-    for axes, name, e in zip(panels.flat, trained.residuals.names, r, strict=False):
-        z = np.concatenate([(e[part] - e[part].mean()) / e[part].std(ddof=1) for part in bins])
-        axes.plot(normal, np.sort(z), ".", color=LOOK["Optimal"]["color"], ms=5)
-        axes.plot(normal, normal, "k:")
-        axes.set(title=name)
-    figure.supxlabel("normal quantile")
-    figure.supylabel("standardised error")
-    return figure
+    """Draw quantiles of standardised errors against normal ones: straight if normal."""
+    return figures.draw_quantiles(trained.residuals.names, *flights.by_network(trained.residuals))
 
 
 # -------------------------------------------------------------------------------- command line
@@ -1122,7 +640,7 @@ def plot_quantiles(trained: Trained) -> Figure:
 
 def write_figures(result: Result, folder: Path, *, progress: bool = False) -> None:
     """Write every figure to `folder` as PNG; the same run gives the same bytes."""
-    figures = {
+    drawn = {
         "schedule": plot_schedule(result),
         "costs": plot_costs(result),
         "rewards": plot_rewards(result),
@@ -1132,18 +650,27 @@ def write_figures(result: Result, folder: Path, *, progress: bool = False) -> No
         "psi": plot_psi(result.landing.task),
     }
     if result.trained:
-        figures |= {
+        drawn |= {
             "gallery": plot_gallery(result.settings.seed),
             "accuracy": plot_accuracy(result.trained),
             "distribution": plot_distribution(result.trained),
             "training": plot_training(result.trained),
             "quantiles": plot_quantiles(result.trained),
         }
-    for name, figure in figures.items():
+    for name, figure in drawn.items():
         picture = io.BytesIO()
         figure.savefig(picture, metadata={"Software": None})
         plt.close(figure)
         write_atomically(folder / f"{name}.png", picture.getvalue())
+
+
+def write_percentages(result: Result, path: Path) -> None:
+    """Write the rows of `percentages` to the file `path` as CSV, below their names."""
+    rows, text = percentages(result), io.StringIO()
+    table = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
+    table.writeheader()
+    table.writerows(rows)
+    write_atomically(path, text.getvalue().encode())
 
 
 def write_atomically(path: Path, content: bytes) -> None:
@@ -1172,21 +699,27 @@ def check_targets(out: Path | None, path: Path | None) -> None:
         raise ValueError(f"--json: expected a file, found {path}")
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """Run the command line: the fields of `Settings`, and where to write what.
-
-    Returns 0; bad input in `argv` ends it with status 2, after one line that says what was wrong.
-    """
+def _parser() -> argparse.ArgumentParser:
+    """Make a parser of the fields of `Settings`, and of where to write what."""
     about = "Land an aircraft, choosing perception models."
     parser = argparse.ArgumentParser("landing.py", usage=argparse.SUPPRESS, description=about)
     for name, value in asdict(Settings()).items():
-        kind = float if value is None else type(value)
-        known, default = NAMES.get(name), f"default: {'as the preset' if value is None else value}"
+        kind, known = float if value is None else type(value), NAMES.get(name)
+        default = f"default: {'as the preset' if value is None else value}"
         parser.add_argument(f"--{name}", type=kind, choices=known, default=value, help=default)
     parser.add_argument("--out", type=Path, default="figures", metavar="FOLDER")
     parser.add_argument("--json", type=Path, metavar="FILE")
     parser.add_argument("--no-figures", action="store_true")
     parser.add_argument("--quiet", action="store_true")
+    return parser
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command line.
+
+    Returns 0; bad input in `argv` ends it with status 2, after one line that says what was wrong.
+    """
+    parser = _parser()
     first = parser.parse_known_args(argv)[0].experiment
     parser.set_defaults(**DEFAULTS.get(first, {}))
     options = vars(parser.parse_args(argv))
@@ -1200,11 +733,12 @@ def main(argv: Sequence[str] | None = None) -> int:
         if not quiet:
             print(report(result))
         if trained:
-            write_residuals(out / "residuals.csv", trained.residuals)
+            perception.write_residuals(out / "residuals.csv", trained.residuals)
             if not quiet:
                 print("\n" + report_pictures(result, progress=True))
         if not bare:
             write_figures(result, out, progress=not quiet)
+            write_percentages(result, out / "percentages.csv")
         if path:
             write_atomically(path, dumps(summary(result), indent=1).encode())
     except (ValueError, OSError, MemoryError) as error:

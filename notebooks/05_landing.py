@@ -16,8 +16,8 @@
 # **Covers**: `subsec:expSimulation`, `eq:perceptionCost`, `eq:perceptionModelDistro`,
 # `prob:model_selection_expectation`, `fig:simulation_ms`, `fig:simulation_CvL`,
 # `fig:simulation_rwd`, `fig:simulation_pareto`, `fig:simulation_traj_h`,
-# `fig:allResultSimulation`; `landing.preset`, `run_experiment`, `published_log`, `pareto`, `fly`,
-# the `plot_` functions, `perception.published_suite`.
+# `fig:allResultSimulation`; `landing.preset`, `run_experiment`, `published_log`, `percentages`,
+# `pareto`, `fly`, the `plot_` functions, `perception.published_suite`.
 
 # %%
 import json
@@ -342,25 +342,21 @@ assert low < theirs < high
 # ## What the printed percentages are
 #
 # No cost can fall by more than 100%, so "567.18% lower control cost" cannot be a reduction. Here is
-# each printed number with the formula that gives it, computed from the authors' own log, at the
-# prices of their code, $(w+1)\Upsilon$, and of their text, $w\Upsilon$.
+# each printed number with the formula that gives it, from our run and from the authors' own log, at
+# the prices of their text, $w\Upsilon$, and of their code, $(w+1)\Upsilon$. (`python landing.py`
+# writes the same rows to `figures/percentages.csv`.)
 
 # %%
-conventions = [landing.published_log(result.settings, offset) for offset in (1, 0)]
-
-
-def change(quantity, new, old):
-    """Percent by which new exceeds old, of |old|, in both conventions."""
-    q = landing.QUANTITIES.index(quantity)
-    return [100 * (m[new][q] - m[old][q]) / abs(m[old][q]) for m in conventions]
-
-
-print(f"{'':61}{'(w+1)Υ':>8}{'wΥ':>9}")
-for quantity, new, old, said in landing.COMPARISONS["simulated"]:
-    formula = f"{quantity.replace('_', ' ')}: ({new} - {old}) / |{old}|"
-    print(f"{formula:60}" + "".join(f"{value:+8.1f}%" for value in change(quantity, new, old)))
-    if said:
-        print(f"    in the paper: {said}")
+rows = landing.percentages(result)
+sources = ("this run", "log at w*Upsilon", "log at (w+1)*Upsilon")
+print(f"{'in percent':58}{'this run':>9}{'log, wΥ':>9}{'(w+1)Υ':>8}  the paper prints")
+for row in rows:
+    formula = f"{row['quantity']}: {row['formula'].removeprefix('100 ')}"
+    numbers = "{:+9.1f}{:+9.1f}{:+8.1f}".format(*(row[source] for source in sources))
+    print(f"{formula:58}{numbers}  {row['what the paper prints']}".rstrip())
+for k, higher in ((1, 567.4), (3, 80.7), (8, -53.0), (9, 77.4)):  # what the text below explains
+    assert np.isclose(rows[k]["log at (w+1)*Upsilon"], higher, atol=0.05)
+    assert rows[k]["what the paper prints"]
 
 # %% [markdown]
 # - **"567.18% lower control cost"** is what Random costs *more*, as a share of Optimal's own cost.

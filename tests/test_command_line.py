@@ -19,7 +19,7 @@ from perception import train_models
 TINY = {"training": 33, "held_out": 300, "epochs": 1, "architecture": [(8, 1, 2), (9, 1, 2)]}
 #: Text that names no folder outside: without dots and slashes.
 TEXT = st.text(st.characters(exclude_characters="./\\", codec="utf-8"), max_size=8)
-COUNTS = ["1", "2", "4", " 3", "0", "-1", "1.5", "nan", "1e3", "1_0", "9" * 11, "9" * 30, "9" * 400]
+COUNTS = ["1", "2", "4", " 3", "0", "-1", "1.5", "nan", "1e3", "1_0", "9" * 30, "9" * 400]
 WEIGHTS = ["0", "0.5", "1", "1e-300", "1e300", "1e308", "-0.0", "-1", "nan", "inf", "1e999"]
 POOLS = {
     "--experiment": ["simulated", "trained", "Simulated"],
@@ -104,7 +104,7 @@ def test_any_arguments_run_or_help_or_end_in_one_line(place, argv):
         ("--cost counted", "cost: simulated models have linear cost"),
     ],
 )
-def test_sizes_beyond_reach_are_named(place, argv, words):
+def test_what_cannot_be_is_named(place, argv, words):
     status, out, err = run([*argv.split(), "--no-figures", "--quiet"])
     assert (status, out) == (2, "")
     assert words in err and err.count("\n") == 1

@@ -21,6 +21,7 @@ from perception import (
     ARCHITECTURE,
     HIGHEST,
     LOWEST,
+    altitude_bins,
     draw_pose,
     draw_scenes,
     guard_suite,
@@ -83,7 +84,7 @@ def test_the_price_follows_the_rule_at_fixed_weights(trained, cost):
 
 def test_the_suite_is_that_of_the_held_out_pictures(result, trained):
     measured = trained.residuals
-    edges = landing.altitude_bins(measured.altitude, result.landing.path[:-1], 20)
+    edges = altitude_bins(measured.altitude, result.landing.path[:-1], 20)
     t, w = 40, 1
     b = np.digitize(result.landing.path[t], edges)
     mine = (np.digitize(measured.altitude, edges) == b) & (measured.model == w)
@@ -190,7 +191,7 @@ def test_policies_meet_the_same_scenes_and_flights_repeat(result):
 
 def test_flights_need_networks_and_no_forecast(trained):
     run = run_experiment(Settings(preset="textbook", information="causal", horizon=5, trials=2))
-    with pytest.raises(ValueError, match="information: a flight has no forecast"):
+    with pytest.raises(ValueError, match="result: expected one of experiment trained"):
         fly_on_pictures(run, np.zeros((2, 5, 1)), np.zeros(5, int), 0)
     wrong = Settings(**CHOSEN | {"information": "preview", "horizon": 40, "trials": 1})
     run = run_experiment(wrong, trained=trained)
@@ -306,7 +307,9 @@ def test_models_are_learned_once_for_each_seed(trained, tmp_path, monkeypatch):
     first = learn(0, tmp_path / "new", **TINY)
     np.testing.assert_array_equal(first.residuals.residual, trained.residuals.residual)
     (path,) = (tmp_path / "new").iterdir()
-    monkeypatch.setattr(landing, "train_models", lambda *_, **__: pytest.fail("trained again"))
+    monkeypatch.setattr(
+        landing.perception, "train_models", lambda *_, **__: pytest.fail("trained again")
+    )
     again = learn(0, tmp_path / "new", **TINY)
     np.testing.assert_array_equal(first.residuals.residual, again.residuals.residual)
     np.testing.assert_array_equal(first.losses, again.losses)
@@ -335,8 +338,9 @@ def test_the_command_line_runs_it_all(tiny, tmp_path, capsys):
     argv = ["--experiment", "trained", "--trials", "4", "--out", str(tmp_path / "out")]
     assert landing.main([*argv, "--json", str(tmp_path / "a.json")]) == 0
     first = capsys.readouterr().out
+    assert "published" not in first  # the log is of another aircraft
     for text in (
-        "published",
+        "Means of 4 trials",
         "b2",
         "Regret under measurement",
         "Regret under causal",
@@ -348,7 +352,8 @@ def test_the_command_line_runs_it_all(tiny, tmp_path, capsys):
         assert text in first
     files = {path.name: path.read_bytes() for path in (tmp_path / "out").iterdir()}
     wanted = {"gallery.png", "accuracy.png", "distribution.png", "training.png", "quantiles.png"}
-    assert wanted | {"schedule.png", "residuals.csv"} <= set(files)
+    assert wanted | {"schedule.png", "residuals.csv", "percentages.csv"} <= set(files)
+    assert b"38.04% lower" in files["percentages.csv"]
     residuals = read_residuals(tmp_path / "out" / "residuals.csv")
     np.testing.assert_array_equal(residuals.residual, learn(0, **TINY).residuals.residual)
     (tmp_path / "out" / "gallery.png").unlink()
