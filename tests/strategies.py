@@ -242,7 +242,7 @@ TOOLS = {
     *("semidefinite_root", "relative_gap", "check_range"),
 }
 #: Parts that users reach through another module than modelselect.
-HOMES = {"camera": "perception", "networks": "perception"}
+HOMES = {"camera": "perception", "networks": "perception", "flights": "landing"}
 
 
 def belongs(name, thing, module):

@@ -904,6 +904,7 @@ ROWS: dict[str, tuple[Callable[..., Any], dict[str, Arg]]] = {
     ),
     "half_width": (landing.half_width, {"values": real([1, 2, 4], "length")}),
     "report": (landing.report, {"result": FLOWN}),
+    "percentages": (landing.percentages, {"result": FLOWN}),
     "summary": (landing.summary, {"result": FLOWN}),
     "plot_schedule": (landing.plot_schedule, {"result": FLOWN}),
     "plot_costs": (landing.plot_costs, {"result": FLOWN}),
@@ -926,6 +927,10 @@ ROWS: dict[str, tuple[Callable[..., Any], dict[str, Arg]]] = {
     "write_figures": (
         landing.write_figures,
         {"result": FLOWN, "folder": Arg("flag", Path("figures")), "progress": FLAG},
+    ),
+    "write_percentages": (
+        landing.write_percentages,
+        {"result": FLOWN, "path": Arg("flag", Path("percentages.csv"))},
     ),
     "write_atomically": (
         landing.write_atomically,

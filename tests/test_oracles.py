@@ -101,7 +101,9 @@ run_experiment | test_flown_costs_agree_with_the_problem | expected costs throug
 pareto | test_no_schedule_is_better_in_both_than_the_front | enumeration of all schedules
 published_log | test_logged_rewards_are_those_that_the_authors_print | the authors' printed log
 half_width | test_intervals_are_students | a printed table of Student's t
-report | test_report_prints_means_intervals_and_percentages | the standard library's statistics, printed text read back
+percentages | test_percentages_are_shares_of_the_old_mean | means of the standard library
+write_percentages | test_the_file_of_percentages_holds_the_rows | the standard library's reader
+report | test_report_prints_means_and_intervals | the standard library's statistics, printed text read back
 summary | test_summary_has_the_promised_keys | plain means of the trials
 plot_schedule | test_schedule_figure_shows_the_schedule | the schedule itself, read off the figure
 plot_costs plot_rewards | test_cost_and_reward_figures_show_the_means | the means, read off the figures
