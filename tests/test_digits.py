@@ -334,7 +334,7 @@ def varying(rng):
 
 
 RANDOM = (unstable, stiff, long, starved, varying)
-MANY = {"dev": 6, "ci": 25, "mutation": 2}[PROFILE]
+MANY = {"dev": 6, "ci": 12, "mutation": 2}[PROFILE]
 
 
 @pytest.mark.parametrize("pattern", PATTERNS)

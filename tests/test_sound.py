@@ -492,7 +492,7 @@ FAMILIES = {
     separable: 100,
     ordinary: 100,
 }
-SHARE = {"dev": 1.0, "ci": 4.0, "mutation": 0.2}[PROFILE]
+SHARE = {"dev": 1.0, "ci": 1.5, "mutation": 0.2}[PROFILE]
 every_family = pytest.mark.parametrize("family", FAMILIES, ids=lambda family: family.__name__)
 
 
