@@ -912,7 +912,7 @@ def test_little_is_called_once_the_time_is_over(limit, solver, monkeypatch):
 @pytest.mark.unmutated
 @TIMED
 @pytest.mark.parametrize("p", [1, 2])
-@pytest.mark.parametrize("limit", [0.0, 0.01, 0.1, 0.3])
+@pytest.mark.parametrize("limit", [0.0, 0.05])
 def test_at_600_errors_a_limit_is_missed_by_little(limit, p, solver, monkeypatch):
     """In the processor's time of this thread, so that others on the machine do not count.
 
