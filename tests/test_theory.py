@@ -595,7 +595,7 @@ def solved_step_by_step(problem):
     tolerance = ROUNDING * size(problem)
     return (
         abs(schedule.cost - best) <= tolerance
-        and problem.total_cost(schedule.choices) == schedule.cost
+        and abs(problem.total_cost(schedule.choices) - schedule.cost) <= tolerance
         and schedule.cost - tolerance <= schedule.lower_bound <= schedule.cost
     )
 
