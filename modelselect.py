@@ -384,6 +384,7 @@ def check_certificate(problem: SelectionProblem, schedule: Schedule) -> float:
     cost, rounding = _cost(problem, schedule.choices)
     d = np.abs(schedule.reference)
     unit = trellis.rounding_unit(problem.quadratic, problem.mean)
+    rounding += float(problem.cost_rounding(schedule.choices))  # Psi is semidefinite up to that
     rounding += 4 * unit * float(d @ np.abs(problem.quadratic) @ d + abs(bound) + abs(cost))
     claims = (("cost", schedule.cost, cost), ("root_bound", schedule.root_bound, bound))
     for name, stated, found in claims:
@@ -454,16 +455,32 @@ def enumerate_schedules(problem: SelectionProblem, *, max_schedules: int = 2**22
     max_schedules = check_count("max_schedules", max_schedules)
     if W**H > max_schedules:
         raise ValueError(f"problem: expected at most {max_schedules} schedules, found {W}^{H}")
-    best, lowest, proved = np.zeros(H, dtype=np.intp), math.inf, math.inf
+    found = []
     for first in range(0, W**H, 2**14):
         number = np.arange(first, min(first + 2**14, W**H))
         block = number[:, None] // W ** np.arange(H)[::-1] % W  # the digits of 0..W^H-1 in base W
-        costs = problem.total_cost(block)
-        proved = min(proved, float((costs - problem.cost_rounding(block)).min()))
-        if costs.min() < lowest:
-            best, lowest = block[costs.argmin()], costs.min()
-    d = problem.chosen_mean(best)
+        found.append(_cheapest(problem, block))
+    best, _ = _cheapest(problem, np.array([choices for choices, _ in found]))
+    proved, d = min(bound for _, bound in found), problem.chosen_mean(best)
     return _certified(problem, best, d, "enumerate_schedules", proved, schedules=W**H)
+
+
+def _cheapest(problem: SelectionProblem, schedules: Choices) -> tuple[Choices, float]:
+    """Return the first cheapest of `schedules` (N, H), and what none of them costs less than.
+
+    Where rounding hides which is the cheapest, up to 1000 of them are compared in fractions.
+    """
+    costs, rounding = problem.total_cost(schedules), problem.cost_rounding(schedules)
+    upper = (costs + rounding).min()
+    close = np.flatnonzero(costs - rounding <= upper)
+    if (
+        not math.isfinite(upper)
+        or rounding[close].max() <= EXACT_BELOW * abs(upper)
+        or len(close) > 1000
+    ):
+        return schedules[costs.argmin()], float((costs - rounding).min())
+    exact = [problem.exact_cost(c) for c in schedules[close]]
+    return schedules[close[exact.index(min(exact))]], float(min(exact))
 
 
 def solve_separable(problem: SelectionProblem) -> Schedule:
@@ -649,11 +666,11 @@ def _swap(
     """Take the best single swap while it helps by more than rounding; return choices and count."""
     p = problem.mean.shape[2]
     M, mean, c, swaps = problem.quadratic, problem.mean, choices.copy(), 0
-    pull = M @ problem.chosen_mean(c)
-    while time_left() > 0:
+    pull, noise = M @ problem.chosen_mean(c), max(problem.rounding, problem.cost_rounding(c))
+    while time_left() > 0 and swaps < 100 * len(c):  # rounding that runs in circles comes to an end
         change = trellis.swap_costs(M, mean, problem.linear, c, pull)
         t, w = np.unravel_index(change.argmin(), change.shape)
-        if not change[t, w] < -problem.rounding:
+        if not change[t, w] < -noise:
             break
         pull += M[:, t * p : (t + 1) * p] @ (mean[t, w] - mean[t, c[t]])
         c[t], swaps = w, swaps + 1
@@ -687,10 +704,8 @@ def plain_dynamic_program(problem: SelectionProblem, *, max_labels: int = 2**18)
             for w in range(W)
         )
         labels = [(extra + (y[rows] ** 2).sum(), y, choices) for extra, y, choices in grown]
-    _, _, choices = min(labels, key=lambda label: label[0])
-    every = np.array([choices for _, _, choices in labels])
-    proved = float((problem.total_cost(every) - problem.cost_rounding(every)).min())
-    best = np.array(choices)
+    labels.sort(key=lambda label: label[0])
+    best, proved = _cheapest(problem, np.array([choices for _, _, choices in labels]))
     work = {"labels": len(labels)}
     return _certified(problem, best, reference, "plain_dynamic_program", proved, **work)
 
@@ -718,7 +733,8 @@ def dynamic_program(
     those cost; one that did not proves the optimum.  A better schedule found by one pass shrinks
     the budget of the next.  Ends with the gap, or after `time_limit` seconds with what is proved
     by then; `relaxation`, of `relax_interior_point` by default, gives d and the first schedule.
-    `work` holds the labels kept at every step of the last pass, the passes and the seconds.
+    `work` holds the labels kept at every step of the last pass, whether it was complete (a gap is
+    then due to rounding), the passes and the seconds.
     """
     time_left, started = _stopwatch(time_limit), perf_counter()
     max_labels = check_count("max_labels", max_labels, minimum=WIDTHS[0])
@@ -728,7 +744,7 @@ def dynamic_program(
     root, reduced = reference_bound(problem, d)
     triangle = label_search.factor(problem.quadratic, _deviation(problem, d), reduced, cost - root)
     steps: list[label_search.Coordinates] = []
-    labels, passes = np.zeros(len(problem.mean), dtype=np.intp), 0
+    labels, passes, complete = np.zeros(len(problem.mean), dtype=np.intp), 0, False
 
     def expired() -> bool:
         return time_left() <= 0
@@ -748,8 +764,7 @@ def dynamic_program(
                 break
         given = label_search.losses(triangle, steps, excess, slack, least)
         found = label_search.search(triangle, steps, given, width, expired)
-        labels, passes = found.labels, passes + 1
-        before = cost
+        labels, passes, complete, before = found.labels, passes + 1, found.complete, cost
         if found.choices is not None:
             better, _ = _swap(problem, found.choices, time_left)
             if (lower := _cost(problem, better)[0]) < cost:
@@ -759,7 +774,8 @@ def dynamic_program(
         again = cost < before if found.complete else width < widths[-1]  # with less to give away
         if not again:
             break
-    work = {"labels": labels, "passes": passes, "seconds": perf_counter() - started}
+    work = {"labels": labels, "passes": passes, "complete": complete}
+    work["seconds"] = perf_counter() - started
     return _certified(problem, best, d, "dynamic_program", proved, **work)
 
 
@@ -872,8 +888,8 @@ def solve(
     """Find and certify a best schedule by the cheapest way that proves it.
 
     Uncoupled steps: one minimum per step.  Otherwise relax, round and swap; if the gap is still
-    open, `dynamic_program`.  If that runs into `max_labels` and a time limit leaves time,
-    `branch_and_bound`, and the best schedule and the highest proved bound come back.
+    open, `dynamic_program`.  If that runs into `max_labels` and a time limit leaves time, or into
+    rounding, `branch_and_bound`; the best schedule and the highest proved bound come back.
 
     Parameters
     ----------
@@ -920,9 +936,10 @@ def solve(
     decoded = dynamic_program(
         problem, time_limit=limit(), max_labels=max_labels, gap=gap, relaxation=relaxation
     )
-    if decoded.gap <= gap or time_limit is None or time_left() <= 0:
+    if decoded.gap <= gap or time_left() <= 0 or not (time_limit or decoded.work["complete"]):
         return decoded
-    searched = branch_and_bound(problem, time_limit=limit(), gap=gap, relaxation=relaxation)
+    options: dict[str, Any] = {"time_limit": limit(), "gap": gap, "relaxation": relaxation}
+    searched = branch_and_bound(problem, max_nodes=None if time_limit else 1000, **options)
     best = min(decoded, searched, key=lambda schedule: schedule.cost)
     bound = max(decoded.lower_bound, searched.lower_bound)
     return replace(best, lower_bound=min(best.cost, bound))
