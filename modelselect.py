@@ -43,9 +43,10 @@ Tolerances.  All are relative.  A matrix of unit diagonal counts as symmetric, a
 per row as non-negative, up to MATRIX_TOLERANCE = 1e-12: a thousand times what rounding leaves in a
 product of double-precision matrices.  A sum of k terms errs by at most k units in the last place
 of the sum of their sizes (`SelectionProblem.cost_rounding`, the certificate): bounds are lowered
-by that much, and a cost of which it is more than EXACT_BELOW = 1e-10 is summed in fractions.  The
-label search may give away SEARCH_SLACK = 1e-10 of the cost, and its bound is lowered by all that
-it gives away.  So a gap of OPTIMALITY_GAP = 1e-9 counts as proved.
+by that much, and a cost of which it is more than EXACT_BELOW = 1e-10 is summed in fractions where
+that takes no time, at up to EXACT_SIZE = 100 errors pH.  The label search may give away
+SEARCH_SLACK = 1e-10 of the cost, and its bound is lowered by all that it gives away.  So a gap of
+OPTIMALITY_GAP = 1e-9 counts as proved.
 
 >>> one = np.eye(1)  # an integrator that plans ahead
 >>> task = ControlTask(A=one, B=one, C=one, Q=one, R=one, horizon=4)
@@ -121,6 +122,7 @@ __version__ = "0.2.0"
 OPTIMALITY_GAP = 1e-9
 SEARCH_SLACK = 1e-10
 EXACT_BELOW = 1e-10
+EXACT_SIZE = 100
 #: Labels that the passes of `dynamic_program` keep a step.
 WIDTHS = [64 * 16**k for k in range(8)]
 
@@ -402,9 +404,10 @@ def check_certificate(problem: SelectionProblem, schedule: Schedule) -> float:
 
 
 def _cost(problem: SelectionProblem, choices: Choices) -> tuple[float, float]:
-    """Cost of a schedule (H,) and how far it may be off: in fractions where digits cancel."""
+    """Cost of a schedule (H,), in fractions where digits cancel, and how far it may be off."""
     cost, rounding = float(problem.total_cost(choices)), float(problem.cost_rounding(choices))
-    if not EXACT_BELOW * abs(cost) < rounding or not math.isfinite(cost):
+    small = len(problem.psi) <= EXACT_SIZE
+    if not (small and EXACT_BELOW * abs(cost) < rounding and math.isfinite(cost)):
         return cost, rounding
     cost = float(problem.exact_cost(choices))
     return cost, abs(cost) * trellis.EPS
@@ -720,7 +723,7 @@ def dynamic_program(
     problem: SelectionProblem,
     *,
     time_limit: float | None = None,
-    max_labels: int = WIDTHS[2],
+    max_labels: int = WIDTHS[3],
     gap: float = OPTIMALITY_GAP,
     relaxation: Relaxation | None = None,
 ) -> Schedule:
@@ -728,11 +731,12 @@ def dynamic_program(
 
     Sphere decoding on a Viterbi trellis (modelselect_parts/label_search.py): a label is a partial
     schedule, and goes when it costs too much or when another one dominates it.  Passes keep at
-    most 64, then 1024, then 16384 labels a step, up to `max_labels` (at least 64; more take a
-    gigabyte where they are needed).  A pass that had to drop labels proves the least that
-    those cost; one that did not proves the optimum.  A better schedule found by one pass shrinks
-    the budget of the next.  Ends with the gap, or after `time_limit` seconds with what is proved
-    by then; `relaxation`, of `relax_interior_point` by default, gives d and the first schedule.
+    most 64, then 1024, 16384 and 262144 labels a step, up to `max_labels` (at least 64; the
+    default takes a gigabyte or two where it is needed).  A pass that had to drop labels proves the
+    least that those cost; one that did not proves the optimum.  A better schedule found by one
+    pass shrinks the budget of the next.  Ends with the gap, or after `time_limit` seconds with what
+    is proved by then; `relaxation`, of `relax_interior_point` by default, gives d and the first
+    schedule.
     `work` holds the labels kept at every step of the last pass, whether it was complete (a gap is
     then due to rounding), the passes and the seconds.
     """
@@ -742,7 +746,6 @@ def dynamic_program(
     first = _start(problem, relaxation, time_left)
     best, cost, proved, d = first.choices, first.cost, first.root_bound, first.reference
     root, reduced = reference_bound(problem, d)
-    triangle = label_search.factor(problem.quadratic, _deviation(problem, d), reduced, cost - root)
     steps: list[label_search.Coordinates] = []
     labels, passes, complete = np.zeros(len(problem.mean), dtype=np.intp), 0, False
 
@@ -751,8 +754,11 @@ def dynamic_program(
 
     widths = [width for width in WIDTHS if width <= max_labels]
     for width in [*widths, widths[-1]]:
-        if closed(cost, proved) or (passes and expired()):
+        if closed(cost, proved) or expired():
             break
+        if not steps:
+            deviation = _deviation(problem, d)
+            triangle = label_search.factor(problem.quadratic, deviation, reduced, cost - root)
         excess = max(0.0, cost - root - triangle.offset)
         rounding = float(problem.cost_rounding(best))
         hopeless = rounding > OPTIMALITY_GAP * abs(cost) / 4  # then let labels merge up to rounding
@@ -883,7 +889,7 @@ def solve(
     *,
     time_limit: float | None = None,
     gap: float = OPTIMALITY_GAP,
-    max_labels: int = WIDTHS[2],
+    max_labels: int = WIDTHS[3],
 ) -> Schedule:
     """Find and certify a best schedule by the cheapest way that proves it.
 
