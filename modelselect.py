@@ -39,14 +39,14 @@ reference, d        -               (pH,)                perception  (ours: the 
 A vector over time is flattened with entry r of step t at index t*p + r.  Inside functions the
 paper's letters are used, unpacked in the first lines.
 
-Tolerances.  All are relative.  A matrix of unit diagonal counts as symmetric, and an eigenvalue
-per row as non-negative, up to MATRIX_TOLERANCE = 1e-12: a thousand times what rounding leaves in a
-product of double-precision matrices.  A sum of k terms errs by at most k units in the last place
-of the sum of their sizes (`SelectionProblem.cost_rounding`, the certificate): bounds are lowered
-by that much, and a cost of which it is more than EXACT_BELOW = 1e-10 is summed in fractions where
-that takes no time, at up to EXACT_SIZE = 100 errors pH.  The label search may give away
-SEARCH_SLACK = 1e-10 of the cost, and its bound is lowered by all that it gives away.  So a gap of
-OPTIMALITY_GAP = 1e-9 counts as proved.
+Tolerances.  All are relative.  A matrix of unit diagonal counts as symmetric, and an eigenvalue per
+row as non-negative, up to MATRIX_TOLERANCE = 1e-12: a thousand times what rounding leaves in a
+product of double-precision matrices; what is let pass is taken out.  A sum of k terms errs by at
+most k units in the last place of the sum of their sizes (`SelectionProblem.cost_rounding`, the
+certificate): bounds are lowered by that much, and a cost of which it is more than EXACT_BELOW =
+1e-10 is summed in fractions where that takes no time, at up to EXACT_SIZE = 100 errors pH.  The
+label search may give away SEARCH_SLACK = 1e-10 of the cost, and its bound is lowered by all that it
+gives away.  So a gap of OPTIMALITY_GAP = 1e-9 counts as proved.
 
 >>> one = np.eye(1)  # an integrator that plans ahead
 >>> task = ControlTask(A=one, B=one, C=one, Q=one, R=one, horizon=4)
@@ -336,7 +336,7 @@ class Schedule(Frozen):
 
     choices: Choices  #: (H,), model of every step
     cost: float  #: `SelectionProblem.total_cost` of the choices
-    lower_bound: float  #: no schedule costs less; where above root_bound, a search has proved it
+    lower_bound: float  #: no schedule costs less; above root_bound by a search, or the prices
     root_bound: float  #: LB(reference), which `check_certificate` derives anew
     reference: Array  #: (pH,), the point d: any d gives a bound, a good d a tight one
     solver: str  #: name of the function that found the schedule
@@ -902,9 +902,10 @@ def solve(
     problem : SelectionProblem
         The problem.
     time_limit : float, optional
-        Seconds after which the best schedule and bound so far are returned.
+        Seconds after which the best schedule and bound so far are returned; 0 gives one, too.
+        Looked at between Newton steps, swaps, steps of the search and nodes.
     gap : float
-        Stop when cost and bound agree to this fraction.
+        Stop when cost and bound agree to this fraction; `is_optimal` does not depend on it.
     max_labels : int
         Most labels kept a step by `dynamic_program`, at least 64.
 

@@ -135,8 +135,8 @@ def check_name(argument: str, name: object, known: Collection[str]) -> None:
 def check_semidefinite(name: str, matrices: Array, *, definite: bool = False) -> Array:
     """Return symmetric positive semidefinite, or definite, `matrices` (..., k, k).
 
-    Judged after scaling the diagonal to 1, so that the units of the rows do not matter; what
-    asymmetry rounding has left is taken out.
+    Judged after scaling the diagonal to 1, so that the units of the rows do not matter.  What
+    asymmetry is let pass is taken out, and what negative eigenvalue, lifted by the diagonal.
     """
     fact, k = "definite" if definite else "semidefinite", matrices.shape[-1]
     if _FACTS.get((id(matrices), fact)) is matrices:
@@ -156,8 +156,10 @@ def check_semidefinite(name: str, matrices: Array, *, definite: bool = False) ->
     if least <= (10 * np.finfo(float).eps if definite else -MATRIX_TOLERANCE) * k:
         found = f"found smallest eigenvalue {least:.3g} (of the matrix scaled to unit diagonal)"
         raise ValueError(f"{name}: expected a positive {fact} matrix, {found}")
-    if skew > 0:
-        matrices = frozen((matrices + np.swapaxes(matrices, -1, -2)) / 2)
+    lift = -least if least < -k * np.finfo(float).eps else 0.0
+    if skew > 0 or lift > 0:
+        matrices = (matrices + np.swapaxes(matrices, -1, -2)) / 2
+        matrices = frozen(matrices + lift * np.eye(k) * matrices)
     if not matrices.flags.writeable:
         _FACTS[id(matrices), fact] = _FACTS[id(matrices), KINDS[0]] = matrices
     return matrices

@@ -1122,3 +1122,20 @@ def test_psi_of_another_problem_keeps_its_own_shape():
     joint = replace(problem, mean=np.ones((1, 2, 2)), variance=np.ones((1, 2, 2)))
     assert joint.psi is problem.psi
     assert joint.total_cost([0]) == Exact(joint).cost([0])
+
+
+@pytest.mark.parametrize("off, a, price", [(4e-13, 1e6, 1), (4e-13, 3e6, 10), (2e-13, 3.16e8, 1)])
+def test_a_psi_that_is_indefinite_within_the_tolerance_is_lifted_and_solved_as_it_is_stored(
+    off, a, price
+):
+    mean = np.array([[[a], [2 * a]], [[-a], [-2 * a]]])
+    problem = ms.SelectionProblem([[1, 1 + off], [1 + off, 1]], mean, 0 * mean, [price, price])
+    assert np.linalg.eigvalsh(problem.psi)[0] >= -1e-15
+    best = min(problem.exact_cost(c) for c in np.ndindex(2, 2))
+    for solver in EXACT:
+        if solver is not ms.solve_separable:
+            found = solver(problem)
+            cost = problem.exact_cost(found.choices)
+            assert not found.is_optimal or cost - best <= GAP * abs(cost)
+            assert Fraction(found.lower_bound) <= best
+            ms.check_certificate(problem, found)
