@@ -42,11 +42,12 @@ paper's letters are used, unpacked in the first lines.
 Tolerances.  All are relative.  A matrix of unit diagonal counts as symmetric, and an eigenvalue per
 row as non-negative, up to MATRIX_TOLERANCE = 1e-12: a thousand times what rounding leaves in a
 product of double-precision matrices; what is let pass is taken out.  A sum of k terms errs by at
-most k units in the last place of the sum of their sizes (`SelectionProblem.cost_rounding`, the
+most k half units in the last place of the sum of their sizes (`SelectionProblem.cost_rounding`, the
 certificate): bounds are lowered by that much, and a cost of which it is more than EXACT_BELOW =
 1e-10 is summed in fractions where that takes no time, at up to EXACT_SIZE = 100 errors pH.  The
-label search may give away SEARCH_SLACK = 1e-10 of the cost, and its bound is lowered by all that it
-gives away.  So a gap of OPTIMALITY_GAP = 1e-9 counts as proved.
+label search may give away SEARCH_SLACK = 1e-10 of the cost, or the cost's rounding where that is
+more, or MERGING = 30 roundings where they alone are too many for a proof; its bound is lowered by
+all that it gives away.  So a gap of OPTIMALITY_GAP = 1e-9 counts as proved.
 
 >>> one = np.eye(1)  # an integrator that plans ahead
 >>> task = ControlTask(A=one, B=one, C=one, Q=one, R=one, horizon=4)
@@ -123,6 +124,7 @@ OPTIMALITY_GAP = 1e-9
 SEARCH_SLACK = 1e-10
 EXACT_BELOW = 1e-10
 EXACT_SIZE = 100
+MERGING = 30
 #: Labels that the passes of `dynamic_program` keep a step.
 WIDTHS = [64 * 16**k for k in range(8)]
 
@@ -378,7 +380,8 @@ def reference_bound(problem: SelectionProblem, reference: npt.ArrayLike) -> tupl
 def check_certificate(problem: SelectionProblem, schedule: Schedule) -> float:
     """Derive a schedule's root bound and its cost anew, trusting no solver; return the bound.
 
-    A `lower_bound` above it was proved by the solver's search and is not re-derived here.
+    A `lower_bound` above it was proved by a search, a minimum per step, or the prices, and is not
+    re-derived here.
     ValueError if the schedule does not state this bound and its own cost (up to rounding), or a
     lower bound outside of them.
     """
@@ -694,10 +697,11 @@ def plain_dynamic_program(problem: SelectionProblem, *, max_labels: int = 2**18)
     max_labels = check_count("max_labels", max_labels)
     if W**H > max_labels:
         raise ValueError(f"problem: expected at most {max_labels} labels, found {W}^{H}")
-    reference = relax_interior_point(problem).reference
-    _, reduced = reference_bound(problem, reference)
-    e = _deviation(problem, reference)
-    _, reduced, _, U, _ = label_search.factor(problem.quadratic, e, reduced, math.inf)
+    first = _start(problem, None, _stopwatch(None))
+    root, reduced = reference_bound(problem, first.reference)
+    e = _deviation(problem, first.reference)
+    triangle = label_search.factor(problem.quadratic, e, reduced, first.cost - root)
+    reduced, U = triangle.reduced, triangle.U  # infinite where no better schedule goes
     labels: list[tuple[Any, Array, tuple[int, ...]]] = [(0.0, np.zeros(H * p), ())]
     for t in reversed(range(H)):
         rows = slice(t * p, (t + 1) * p)
@@ -707,10 +711,12 @@ def plain_dynamic_program(problem: SelectionProblem, *, max_labels: int = 2**18)
             for w in range(W)
         )
         labels = [(extra + (y[rows] ** 2).sum(), y, choices) for extra, y, choices in grown]
-    labels.sort(key=lambda label: label[0])
-    best, proved = _cheapest(problem, np.array([choices for _, _, choices in labels]))
-    work = {"labels": len(labels)}
-    return _certified(problem, best, reference, "plain_dynamic_program", proved, **work)
+    extra, _, choices = min(labels, key=lambda label: label[0])
+    best, proved, work = first.choices, first.cost, {"labels": len(labels)}
+    if extra < math.inf:
+        lost = label_search.losses(triangle, [], float(extra), 0.0, 0.0).total
+        best, proved = np.array(choices), min(proved, root + triangle.constant + extra - lost)
+    return _certified(problem, best, first.reference, "plain_dynamic_program", proved, **work)
 
 
 def _deviation(problem: SelectionProblem, reference: Array) -> Array:
@@ -759,10 +765,11 @@ def dynamic_program(
         if not steps:
             deviation = _deviation(problem, d)
             triangle = label_search.factor(problem.quadratic, deviation, reduced, cost - root)
-        excess = max(0.0, cost - root - triangle.offset)
+        excess = max(0.0, cost - root - triangle.constant)
         rounding = float(problem.cost_rounding(best))
-        hopeless = rounding > OPTIMALITY_GAP * abs(cost) / 4  # then let labels merge up to rounding
-        slack = 30 * rounding if hopeless else max(SEARCH_SLACK * abs(cost), rounding)
+        slack = max(SEARCH_SLACK * abs(cost), rounding)
+        if 4 * rounding > OPTIMALITY_GAP * abs(cost):  # no proof is in reach: let labels merge
+            slack = MERGING * rounding
         if not steps:
             least = label_search.negligible_strength(triangle, excess, slack)
             steps = label_search.compress(triangle, least, expired)
@@ -776,7 +783,7 @@ def dynamic_program(
             if (lower := _cost(problem, better)[0]) < cost:
                 best, cost = better, lower
         summing = 4 * trellis.EPS * (abs(root) + abs(found.least))
-        proved = max(proved, root + found.least - summing)
+        proved = max(proved, min(before, root + found.least - summing))
         again = cost < before if found.complete else width < widths[-1]  # with less to give away
         if not again:
             break
@@ -807,13 +814,13 @@ def branch_and_bound(
     gap: float = OPTIMALITY_GAP,
     relaxation: Relaxation | None = None,
 ) -> Schedule:
-    """Split the problem where rounding hurts most, always the part with the lowest bound next.
+    """Split where the relaxation mixes models most, always the part with the lowest bound next.
 
     Every node relaxes what is still open, rounds the result to a schedule, and forbids for all
     its children the models whose reduced cost exceeds best - bound.  Its children settle the
     step with the largest blur sum_w b[t,w] |mu[t,w] - d_t|^2, weighed by Psi's diagonal.  Nodes
     that cannot beat the best schedule are dropped.  Best first expands only nodes whose bound is
-    below the optimum, and its lower bound only rises.  Ends with the gap, after `time_limit`
+    not above the optimum, and its lower bound only rises.  Ends with the gap, after `time_limit`
     seconds or `max_nodes` nodes; `work["tree"]` is the list of `Node`, root first.
     """
     time_left, started = _stopwatch(time_limit), perf_counter()
@@ -1022,7 +1029,7 @@ def partition_problem(integers: Sequence[int], information: str = "open_loop") -
     at step t.  A schedule costs (sum_t +-a_t)^2 / 2 plus less than 1/4 for perception, so the
     optimum is below 1/2 exactly if the integers split into two halves of equal sum: model
     selection is NP-hard (Karp 1972), weakly: with offsets so few, `dynamic_program` is
-    pseudo-polynomial here.  The sum is at most 1e7, so that costs are exact.
+    pseudo-polynomial here.  The sum is at most 1e7, so that its square has its digits in a float.
     """
     check_array("integers", integers, "H", (None,))
     a = [check_count("integers", value) for value in as_numbers("integers", integers)]

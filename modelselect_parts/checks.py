@@ -142,7 +142,8 @@ def check_semidefinite(name: str, matrices: Array, *, definite: bool = False) ->
     if _FACTS.get((id(matrices), fact)) is matrices:
         return matrices
     diagonal = np.diagonal(matrices, axis1=-2, axis2=-1)[..., None]
-    scale = np.sqrt(np.where(diagonal == 0, 1, np.abs(diagonal)))
+    # Beside a zero on the diagonal, nothing but underflow may stand.
+    scale = np.sqrt(np.where(diagonal == 0, 1e-300, np.abs(diagonal)))
     with np.errstate(over="ignore", invalid="ignore"):
         scaled = matrices / scale / np.swapaxes(scale, -1, -2)
         skew = np.abs(scaled - np.swapaxes(scaled, -1, -2)).max()

@@ -51,22 +51,23 @@ def interior_point(
 
     weights = best = allowed / allowed.sum(axis=1, keepdims=True)
     value, bound, G = evaluate(weights)
-    gap, highest, tau, lasted, iteration = value - bound, bound, np.inf, 1e-10 * len(M) ** 3, 0
+    gap, its_bound, tau = value - bound, bound, np.inf
+    lasted = 1e-10 * len(M) ** 3  # seconds: a guess at the first step
     lowest = G[free].min(axis=1)  # slacks z = G - y: what G exceeds its least by, plus a margin
     y = lowest - np.where(inside, G[free] - lowest[:, None], 0).sum() / max(len(free), 1)
     for iteration in range(max_iterations):
-        done = not free.size or closed(value, bound) or highest > ceiling
+        done = not free.size or closed(value, bound) or its_bound > ceiling
         if done or time_left() <= lasted:
             return best, iteration
         started = perf_counter()
         b, z = weights[free], np.where(inside, G[free] - y[:, None], 1)
         tau, previous = float((b * z)[inside].mean()), tau
         if not (tau < previous and z.min() > 1e-280):
-            break  # rounding, or underflow, has the upper hand; the best so far stands
+            return best, iteration  # rounding, or underflow, has the upper hand
         try:
             db, dy = _newton_step(M, mean, inside, b, z)
         except la.LinAlgError:
-            break
+            return best, iteration
         weights = weights.copy()
         weights[free] = np.maximum(b + db, 0)
         weights[free] /= weights[free].sum(axis=1, keepdims=True)
@@ -74,9 +75,9 @@ def interior_point(
         lowest = G[free].min(axis=1)  # rounding must not close z
         y = np.minimum(y + dy, lowest - np.maximum(1e-3 * tau, 1e-15 * np.abs(lowest)))
         if value - bound < gap:
-            best, gap, highest = weights, value - bound, bound
+            best, gap, its_bound = weights, value - bound, bound
         lasted = perf_counter() - started
-    return best, max_iterations if max_iterations == iteration + 1 else iteration
+    return best, max_iterations
 
 
 def congruence(F: Array, M: Array) -> Array:

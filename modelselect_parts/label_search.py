@@ -31,9 +31,9 @@ EPS, TINY = float(np.finfo(float).eps), float(np.finfo(float).tiny)
 
 
 class Triangle(NamedTuple):
-    """The excess as a sum over steps: offset + sum_t reduced[t, w_t] + sum_t |U_tt e_t + y_t|^2."""
+    """The excess: constant + sum_t reduced[t, w_t] + sum_t |U_tt e_t + y_t|^2."""
 
-    offset: float
+    constant: float
     reduced: Array  #: (H, W), non-negative, inf where the model cannot be of use
     deviation: Array  #: (H, W, p), e[t, w] = mu[t, w] - d_t
     U: Array  #: (pH, pH), upper triangular
@@ -46,21 +46,22 @@ def factor(M: Array, deviation: Array, reduced: Array, excess: float) -> Triangl
     A model whose reduced cost is above `excess`, that of the best schedule known, is of no use;
     nor is one that errs more than any other steps can make up for.
     A diagonal shift s adds sum_i s_i e_i^2, which depends on one step's model only, so it can be
-    subtracted there: the sum stays the same, and a singular M has a Cholesky factor.  The offset
-    falls a little below 0: by a hundredth of the excess at most, plus what rounding needs.
+    subtracted there: the sum stays the same, and a singular M has a Cholesky factor.  That lowers
+    the constant by a hundredth of the excess at most, plus what rounding needs.
     """
     H, _, p = deviation.shape
     useful = (reduced <= max(excess, 0.0)) & (reduced < np.inf)
     deviation = np.where(useful[..., None], deviation, 0)
     size, diagonal = np.abs(deviation).max(axis=1).ravel(), M.diagonal()
-    # 1e-6 is already enough: it leaves errors of 1e-13 of a row's size in the factor.
+    # More than 1e-6 gains nothing: rounding leaves eps / sqrt(1e-6) = 2e-13 of a row's size in U.
     share = min(1e-6, max(excess, 0.0) / 100 / max(size**2 @ diagonal, TINY))
     shift = (share + 2 * MATRIX_TOLERANCE * len(diagonal)) * diagonal + TINY
     shifted = reduced - np.einsum("twi,ti->tw", deviation**2, shift.reshape(H, p))
     lowest = np.where(useful, shifted, np.inf).min(axis=1)
     lowest[lowest == np.inf] = 0  # no model is of use: no schedule is better than the best known
     U = la.cholesky(M + np.diag(shift))
-    # By Cauchy and Schwarz e_i^2 <= e'(U'U)e (U'U)^{-1}_ii; a factor of 2 covers rounding.
+    # |Ue|^2 <= excess - sum of lowest, as what is left of r is >= 0, and by Cauchy and Schwarz
+    # e_i^2 <= |Ue|^2 (U'U)^{-1}_ii; a factor of 2 covers rounding for pH up to thousands.
     inverse = la.solve_triangular(U, np.eye(H * p))
     most = 2 * math.sqrt(max(excess - lowest.sum(), 0.0)) * np.linalg.norm(inverse, axis=1)
     beyond = useful & (np.abs(deviation) > most.reshape(H, 1, p)).any(axis=-1)
@@ -82,9 +83,10 @@ class Coordinates(NamedTuple):
 def compress(triangle: Triangle, least: float, expired: Callable[[], bool]) -> list[Coordinates]:
     """Find a basis of the offsets of every step; empty if time is over.
 
-    The offset on the rows before step t lies in the range of U[:tp, tp:], whose rank is small
-    (n or 2n, for Psi of a task with n states).  Orthonormal columns keep all distances.  A
-    direction of strength (singular value) at most `least` is dropped.
+    The offset on the rows before step t lies in the range of U[:tp, tp:].  Its rank is that of
+    U[:tp, :tp]'U[:tp, tp:], a block of M, as the shift is diagonal: n or 2n, for Psi of a task with
+    n states.  Rounding adds weak directions; those of strength (singular value) at most `least`
+    are dropped.  Orthonormal columns keep all distances.
     """
     U, size, (H, _, p) = triangle.U, triangle.size, triangle.deviation.shape
     steps: list[Coordinates] = [None] * H  # type: ignore[list-item]
@@ -115,14 +117,16 @@ class Losses(NamedTuple):
     - *Truncation.*  Offsets of step t are (basis times strengths) a with |a|^2 <= p(H - t): true
       at the start, and kept, as a column more appends p entries of size at most 1, and turning
       keeps |a|.  Dropping directions of strength <= least at every step changes the stacked
-      residuals U_tt e_t + y_t by a vector of norm x <= H least sqrt(pH), so Q becomes at most
-      (sqrt(Q) + x)^2 <= Q + 2 x sqrt(B) + x^2.
+      residuals U_tt e_t + y_t by a vector of norm x <= H least sqrt(pH): later steps only project
+      and cut it, which does not lengthen it.  So Q becomes at most (sqrt(Q) + x)^2 <=
+      Q + 2 x sqrt(B) + x^2.
     - *Merging.*  A dominance test may lose `merge`.  A schedule's chain of dominators has one
       link a step and grid at most, as the representative of a cell is not discarded in its own
       pass: at most H len(GRIDS) merge in all, and as many roundings of a test.
     - *Rounding.*  U'U differs from M by (pH + 1) eps/2 |U|'|U| at most (Higham, Accuracy and
-      Stability, theorem 10.3), and an offset errs by a few eps of its reach at every step, which
-      changes the residuals as truncation does.
+      Stability, theorem 10.3).  An offset errs at every step by a few eps of its reach for each
+      term that its coordinates sum, those of the basis included, which changes the residuals as
+      truncation does.
     """
 
     budget: float  #: B: labels above it go
@@ -140,19 +144,19 @@ def negligible_strength(triangle: Triangle, excess: float, slack: float) -> floa
 def losses(
     triangle: Triangle, steps: list[Coordinates], excess: float, slack: float, least: float
 ) -> Losses:
-    """Add up what a pass gives away that must not lose a schedule of up to this excess.
+    """Return B such that every schedule of up to this excess keeps a representative within B.
 
-    Half the slack is for merging.  B must exceed the excess by all that is given away of B itself:
-    sqrt(B) = x + sqrt(excess + rest + 2 x^2) gives B = excess + rest + 2 x sqrt(B) + x^2.
+    Half the slack is for merging.  Of B itself 2 x sqrt(B) + x^2 is given away, so B must solve
+    B = excess + rest + 2 x sqrt(B) + x^2: sqrt(B) = x + sqrt(excess + rest + 2 x^2) does.
     """
     H, _, p = triangle.deviation.shape
     own = np.abs(triangle.U) @ triangle.size
-    width = max((len(step.push) for step in steps), default=0) + p
+    terms = max((len(step.push) for step in steps), default=0) + p
     lengths = sum(step.reach for step in steps) + float(own.sum())
-    x = H * least * math.sqrt(p * H) + 2 * EPS * (width + 10) * lengths
+    x = H * least * math.sqrt(p * H) + 2 * EPS * (p * H + terms + 10) * lengths
     rest = slack / 2 + (p * H + 10) * EPS / 2 * float(own @ own)
     budget = (x + math.sqrt(excess + rest + 2 * x * x)) ** 2
-    budget *= 1 + 16 * EPS * H * (len(GRIDS) + 1)  # the roundings of tests and sums
+    budget *= 1 + (16 + terms) * EPS * H * (len(GRIDS) + 1)  # the roundings of tests and sums
     return Losses(budget, slack / (2 * H * len(GRIDS)), budget - excess)
 
 
@@ -177,8 +181,8 @@ def undominated(
     for halvings in GRIDS:
         if len(alive) < 2 or expired():
             break
-        width = math.sqrt(budget) / 2**halvings
-        corner = np.floor(y[alive] / width + 0.618 * halvings)  # shifted: cells share no borders
+        side = math.sqrt(budget) / 2**halvings
+        corner = np.floor(y[alive] / side + 0.618 * halvings)  # shifted: cells share no borders
         cell = corner.astype(np.int64).astype(np.uint64) @ hashing
         bits = len(alive).bit_length() + 2
         key = cell >> np.uint64(64 - bits)
@@ -186,8 +190,8 @@ def undominated(
         table[key[::-1]] = np.arange(len(alive))[::-1]  # of equal keys, the first is written last
         i, j = alive[table[key]], alive
         rho2 = ((y[i] - y[j]) ** 2).sum(axis=1)
-        reach = 2 * np.sqrt(rho2) * np.sqrt(np.maximum(budget - extra[j], 0))
-        alive = alive[(i == j) | (extra[i] + reach + rho2 > extra[j] + merge)]
+        cross = 2 * np.sqrt(rho2) * np.sqrt(np.maximum(budget - extra[j], 0))
+        alive = alive[(i == j) | (extra[i] + cross + rho2 > extra[j] + merge)]
     kept = np.zeros(len(extra), dtype=bool)
     kept[alive] = True
     return kept
@@ -213,7 +217,9 @@ def search(
 
     A schedule is over the budget, or descends from a label that was dropped, or has a survivor
     that is no worse, up to the losses: so no schedule's excess is below the least of the three,
-    less the losses.
+    less the losses.  One with a model that `factor` ruled out costs no less than the best schedule
+    known then, to which callers limit the claim.  A later pass may reuse the basis: its excess is
+    smaller, so no model that it needs was ruled out, and `losses` is given the same `least`.
     """
     _, reduced, deviation, U, _ = triangle
     H, _, p = deviation.shape
@@ -243,4 +249,4 @@ def search(
     for t, (parent, models) in enumerate(reversed(trail) if len(extra) else ()):
         choices[t], label = models[label], parent[label]
     found = choices if len(extra) else None
-    return Pass(found, triangle.offset + least - given.total, dropped == math.inf, labels)
+    return Pass(found, triangle.constant + least - given.total, dropped == math.inf, labels)

@@ -9,8 +9,9 @@ square* writes the cost of any controls u as a constant plus a sum of squares,
 
 where q carries what later inputs ask of u_t.  Every controller here does just this with what it
 *believes*: a state x_hat_t for x_t, an estimate s_hat_t for s_t, a forecast for q.  So the regret
-of wrong beliefs is that sum over their errors, and a pattern of information is one row of the
-table `PATTERNS`: which state the controller acts on, whether it sees this step's input, whether
+of wrong beliefs is that sum over their errors: exactly where right beliefs give u*, else in
+expectation, as the cross term averages out.  A pattern of information is one row of the table
+`PATTERNS`: which state the controller acts on, whether it sees this step's input, whether
 it foresees later ones.
 
 >>> task = ControlTask(A=[[1]], B=[[1]], C=[[1]], Q=[[1]], R=[[1]], horizon=2)  # an integrator
@@ -69,7 +70,7 @@ class ControlTask(Frozen):
     C : array_like, (n, p) or (H, n, p)
         Effect of the perception input.
     Q : array_like, (n, n) or (H, n, n)
-        State cost, positive semidefinite; Q_t weighs x_t, so Q_0 is never used.
+        State cost, positive semidefinite; Q_t weighs x_t, so Q_0 enters no cost (only P_0).
     R : array_like, (m, m) or (H, m, m)
         Control cost, positive definite.
     horizon : int
@@ -215,13 +216,13 @@ def _square_root_recursion(task: ControlTask) -> list[_Roots]:
     F = Q_root[H]
     with np.errstate(over="ignore", invalid="ignore"):
         for t in reversed(range(H)):
-            columns = np.vstack([R_root[t].T, F.T @ B[t]]), np.vstack([Q_root[t].T, F.T @ A[t]])
-            if not all(np.isfinite(column).all() for column in columns):
+            controls, states = F.T @ B[t], F.T @ A[t]
+            if not (np.isfinite(controls).all() and np.isfinite(states).all()):
                 raise ValueError(
                     f"task: the cost-to-go overflows at step {t} of {H}; a mode of A that the "
                     "control cannot reach grows too fast: shorten the horizon or rescale"
                 )
-            rotation, root = _rotation(columns[0])
+            rotation, root = _rotation(np.vstack([R_root[t].T, controls]))
             scaled = root / np.linalg.norm(root, axis=0)
             if m > 1 and np.linalg.svd(scaled, compute_uv=False)[-1] ** 2 < MATRIX_TOLERANCE:
                 raise ValueError(
@@ -229,7 +230,7 @@ def _square_root_recursion(task: ControlTask) -> list[_Roots]:
                     "of equal effect cannot be told apart; raise R, or merge those controls"
                 )
             push, rest = rotation[m:, :m].T, rotation[m:, m:].T
-            folding, next_root = _rotation(np.vstack([Q_root[t].T, rest @ F.T @ A[t]]))
+            folding, next_root = _rotation(np.vstack([Q_root[t].T, rest @ states]))
             steps[t] = _Roots(F, root.T, push, rest, folding[task.n :, : task.n].T)
             F = next_root.T
     return steps
@@ -343,7 +344,7 @@ def _foreseen(task: ControlTask, forecast: Array) -> Array:
 
 
 def _regret_rows(task: ControlTask, information: str, errors: Array) -> Array:
-    """G_t'(u_t - u*_t) for `errors` (H, p, N), as (H, m, N): their squares sum to the regret.
+    """G_t'(u*_t - u_t) for `errors` (H, p, N), as (H, m, N): their squares sum to the regret.
 
     Beliefs are linear, so their errors are the beliefs of a controller fed e in a world at rest.
     """
@@ -492,7 +493,7 @@ def run_controller(
 def plan(task: ControlTask, x0: npt.ArrayLike, s: npt.ArrayLike) -> Array:
     """Plan all controls (..., H, m) at t = 0 from `x0` (n,) and a forecast `s` (..., H, p).
 
-    u = -K^{-1}(M'Q F x_0 + L s) on stacked states.  While a forecast is right, planning once and
+    While a forecast is right, planning once and
     feeding back the state give the same controls, so we run the feedback law on the forecast.
     """
     return run_controller(task, x0, s, s, "preview")[1]

@@ -47,10 +47,11 @@ def slopes(M: Array, mean: Array, linear: Array, d: Array) -> tuple[Array, float
 def rounding_unit(M: Array, mean: Array) -> float:
     """How far rounding moves a total, a bound or an entry of G, as a share of the terms summed.
 
-    Sums of k terms err by at most k half units in the last place of the sum of their sizes.
+    Sums of k terms err by at most k half units in the last place of the sum of their sizes, and
+    nested sums of k and l terms by k + l: x'Mx nests two of pH.
     """
     H, _, p = mean.shape
-    return float(len(M) + H + p + 10) * EPS / 2
+    return float(2 * len(M) + H + 2 * p + 10) * EPS / 2
 
 
 def certificate(
@@ -68,13 +69,15 @@ def certificate(
         size = 2 * np.einsum("twi,ti->tw", np.abs(mean), felt.reshape(H, p)) + linear_size
         G = np.where(np.isfinite(linear), G - unit * size, np.inf)
         lowest = G.min(axis=1)
-        common = np.abs(linear.min(axis=1)).sum()
+        common = np.abs(linear.min(axis=1)).sum() + np.abs(lowest).sum()
         bound = lowest.sum() + constant - unit * (np.abs(d) @ felt + common)
     return float(bound), G - lowest[:, None]
 
 
 def relaxed(M: Array, mean: Array, linear: Array, b: Array) -> tuple[float, float, Array]:
-    """Evaluate d'M d + l.b at d_t = sum_w b[t, w] mu[t, w]: value, LB(d), and the gradient G.
+    """Evaluate d'M d + l.b at d_t = sum_w b[t, w] mu[t, w]: value, LB(d) and G.
+
+    G is the gradient, but for a constant in each row, which does not matter on the simplex.
 
     The value is LB(d) + sum r.b, so at weights that touch only the least r it meets its bound.
     """

@@ -185,12 +185,14 @@ def test_rounding_is_relative_to_the_sizes_of_the_terms_that_the_greedy_choices_
     for t in steps:
         sizes = np.abs(block(problem, t)) * np.abs(covariance(problem, t, c[t]))
         terms += problem.alpha * sizes.sum() + problem.beta * abs(kappa(problem, t, c[t]))
-    assert problem.rounding == pytest.approx((p * H + H + p + 10) * 2**-53 * terms, rel=1e-9)
+    assert problem.rounding == pytest.approx(
+        (2 * p * H + H + 2 * p + 10) * 2**-53 * terms, rel=1e-9
+    )
 
 
 def test_rounding_counts_income_by_its_size():
     problem = SelectionProblem([[3]], [[[1]]], [[[0]]], [-5])  # 3 to control, 5 earned
-    assert problem.rounding == 8 * 13 * 2**-53
+    assert problem.rounding == 8 * 15 * 2**-53
 
 
 @given(problems())
@@ -955,3 +957,9 @@ def test_a_block_of_small_units_is_judged_by_itself():
     psi = block_diag(4e12 * np.eye(6), [[1, 3], [3, 1]])
     message = "psi: expected a positive semidefinite matrix"
     refused(lambda: called("SelectionProblem", psi=psi), message)
+
+
+def test_beside_a_zero_on_the_diagonal_nothing_but_zeros_is_semidefinite():
+    for unit in (1e-7, 1.0, 1e9):
+        with pytest.raises(ValueError, match=r"^psi: expected a positive semidefinite matrix"):
+            SelectionProblem([[1, unit], [unit, 0]], np.ones((2, 2, 1)), np.ones((2, 2, 1)), [0, 1])
