@@ -71,7 +71,7 @@ from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from functools import cached_property
 from time import perf_counter
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -97,6 +97,7 @@ from modelselect_parts.checks import (
     shown,
 )
 from modelselect_parts.descent import (
+    Relaxation,
     closes,
     project_to_simplex,
     projected_gradient,
@@ -509,21 +510,6 @@ def solve_separable(problem: SelectionProblem) -> Schedule:
 # ------------------------------------------------------------------- solvers: the relaxation
 
 
-class Relaxation(NamedTuple):
-    """A point of the convex relaxation (see `relax`)."""
-
-    weights: Array  #: (H, W), each row on the simplex
-    reference: Array  #: (pH,), the mean error d_t = sum_w b[t,w] mu[t,w]
-    value: float  #: objective at `weights`
-    bound: float  #: LB(reference), a lower bound on every schedule
-    iterations: int  #: iterations of the method
-
-    @property
-    def gap(self) -> float:
-        """(value - bound) / max(|value|, |bound|), or 0 where the two are equal."""
-        return relative_gap(self.value, self.bound)
-
-
 def _relaxation(
     problem: SelectionProblem, linear: Array, b: Array, iterations: int = 0
 ) -> Relaxation:
@@ -795,7 +781,8 @@ def dynamic_program(
 # --------------------------------------------------------------- solvers: branch and bound
 
 
-class Node(NamedTuple):
+@dataclass(frozen=True)
+class Node:
     """A node of the tree of `branch_and_bound`: its parent with one more choice made."""
 
     parent: int  #: position of the parent in the tree; -1 for the root
@@ -962,7 +949,8 @@ def solve(
 # ---------------------------------------------------------- what biased and noisy models cost
 
 
-class ErrorCost(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class ErrorCost:
     """What each model would cost the controller if it ran at every step (see `error_cost`)."""
 
     mean_square: Array  #: (W,), mean squared error per step: what model cards print

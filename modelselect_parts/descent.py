@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -19,6 +20,21 @@ from modelselect_parts.checks import Array, check_array, check_count, check_numb
 def relative_gap(value: float, bound: float) -> float:
     """(value - bound) / max(|value|, |bound|), or 0 where value <= bound."""
     return 0.0 if value <= bound else (value - bound) / max(abs(value), abs(bound))
+
+
+class Relaxation(NamedTuple):
+    """A point of the convex relaxation (see `modelselect.relax`)."""
+
+    weights: Array  #: (H, W), each row on the simplex
+    reference: Array  #: (pH,), the mean error d_t = sum_w b[t,w] mu[t,w]
+    value: float  #: objective at `weights`
+    bound: float  #: LB(reference), a lower bound on every schedule
+    iterations: int  #: iterations of the method
+
+    @property
+    def gap(self) -> float:
+        """(value - bound) / max(|value|, |bound|), or 0 where the two are equal."""
+        return relative_gap(self.value, self.bound)
 
 
 def closes(gap: float, negligible: float) -> Callable[[float, float], bool]:
