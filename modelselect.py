@@ -217,7 +217,10 @@ class SelectionProblem(Frozen):
         if np.isneginf(cost).any() or np.isinf(cost).all(axis=-1).any():
             raise ValueError("model_cost: expected a finite cost at every step, found none or -inf")
         Psi = check_semidefinite("psi", Psi)
-        (check_semidefinite if variance.ndim == 4 else check_range)("variance", variance)
+        if variance.ndim == 4:
+            variance = check_semidefinite("variance", variance)
+        else:
+            check_range("variance", variance)
         weights = {
             name: check_number(name, getattr(self, name), minimum=0) for name in ("alpha", "beta")
         }

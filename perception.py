@@ -120,7 +120,10 @@ class PerceptionSuite(Frozen):
         variance = check_array("variance", self.variance, "...", ())
         shape = ("H W p p", (H, W, p, p)) if variance.ndim == 4 else ("H W p", (H, W, p))
         variance = check_array("variance", variance, *shape)
-        (check_semidefinite if variance.ndim == 4 else check_range)("variance", variance)
+        if variance.ndim == 4:
+            variance = check_semidefinite("variance", variance)
+        else:
+            check_range("variance", variance)
         cost = check_array("cost", self.cost, "...", (), finite=False)
         width = ("H W", (H, W)) if cost.ndim == 2 else ("W", (W,))
         cost = check_array("cost", cost, *width, finite=False)

@@ -115,9 +115,8 @@ class ControlTask(Frozen):
             raise ValueError("Q_final: required when Q varies with time, found None")
         final = checked["Q"] if self.Q_final is None else self.Q_final
         checked["Q_final"] = check_array("Q_final", final, "n n", (n, n))
-        check_semidefinite("Q", checked["Q"])
-        check_semidefinite("Q_final", checked["Q_final"])
-        check_semidefinite("R", checked["R"], definite=True)
+        for name in ("Q", "Q_final", "R"):
+            checked[name] = check_semidefinite(name, checked[name], definite=name == "R")
         self._set(**checked)
 
     @property
