@@ -9,8 +9,7 @@ schedule need not know why it errs.  All that it needs is
 
 These tables are a `PerceptionSuite`.  Some are simulated: `published_suite` draws that of the
 paper's first experiment, `gaussian_suite` makes one of two formulas.  Others are measured, by
-`fit_suite`, on data that the models have never seen.  At the end stand models that we train
-ourselves, to read the altitude off pictures of a helipad.
+`fit_suite`, on data new to the models.  At the end, we train some that read altitudes off pictures.
 
 Two models on the way down, one small, one large and half as wrong:
 
