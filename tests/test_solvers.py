@@ -516,7 +516,7 @@ def test_shifting_every_price_shifts_the_total(problem, shift):
 
 
 @pytest.mark.unmutated
-@settings(max_examples=10)
+@settings(max_examples=5)
 @given(st.integers(0, 10**6))
 def test_larger_budgets_never_worsen_the_answer(seed):
     problem = known_suite(seed, H=16, W=4, p=2)

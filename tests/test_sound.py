@@ -671,7 +671,7 @@ def test_what_many_merges_and_truncations_lose_together_is_subtracted(n, delta, 
     """Each pair tempts a search to give 2 delta away; all of them are more than 1e-9."""
     problem, better = pulled(n, delta, K)
     for solver in (ms.dynamic_program, ms.solve):
-        witnessed(problem, better, solver(problem, max_labels=2**14))
+        witnessed(problem, better, solver(problem, max_labels=2**10))
 
 
 @pytest.mark.parametrize(
@@ -694,7 +694,7 @@ def test_a_direction_too_weak_for_one_step_counts_over_all_of_them(n, delta, K, 
 @pytest.mark.parametrize("delta", [5e-12, 1e-10, 2.5e-9])
 def test_over_143_steps_nothing_is_called_optimal_beside_what_is_better(delta):
     problem, better = pulled(70, delta, 900.0)
-    witnessed(problem, better, ms.solve(problem, max_labels=2**14))
+    witnessed(problem, better, ms.solve(problem, max_labels=2**10))
 
 
 def exact_cost(problem, choices):
