@@ -67,7 +67,7 @@ from __future__ import annotations
 import heapq
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import KW_ONLY, dataclass, field, replace
 from fractions import Fraction
 from functools import cached_property
 from time import perf_counter
@@ -158,9 +158,9 @@ def from_one_hot(weights: npt.ArrayLike) -> Choices:
 class SelectionProblem(Frozen):
     """Which model to run at each step (``prob:model_selection_expectation``).
 
-    E[total](c) = alpha (mu_c' Psi mu_c + sum_t trace(Psi_tt Sigma[t, w_t]))
-                + beta sum_t kappa[t, w_t],
-    without the constant alpha J(u*).  Errors must be independent across steps; zero variance
+    E[total](c) = alpha (mu_c' Psi mu_c + sum_t trace(Psi_tt Sigma[t, w_t]) + sum_t g_t'mu[t, w_t])
+                + beta (sum_t kappa[t, w_t] + sum_t sigma[w_{t-1}, w_t]),
+    the second sum the `perception_term`, without the constant alpha J(u*).  Errors must be independent across steps; zero variance
     states known errors (``prob:model_selection``).  Where p = 1, `mean` and `variance` both
     given transposed, (1, W, H), pose one step of H components: this cannot be caught.
     ``dataclasses.replace`` of a weight shares the arrays, and checks them no second time.
@@ -177,12 +177,21 @@ class SelectionProblem(Frozen):
         Cost of running a model; ``inf`` where a model is not available.
     alpha, beta : float
         Weights >= 0 of control and perception cost (``eq:jtot``).
+    switch_cost : array_like, (W, W), optional
+        sigma[v, w] >= 0, perception cost of going from model v (row) to model w: loading, warm-up.
+        The diagonal is 0.
+    initial_model : int, optional
+        The model in memory before step 0; without one the first model is free to load.
+    budget : float, optional
+        The most that `perception_term`, unweighted and with all switches, may be.
+    pull : array_like, (H, p), optional
+        g: a known term sum_t g_t'mu[t, w_t] of the control cost, e.g. of a plan that goes on.
 
     Raises
     ------
     ValueError
-        A wrong shape, a NaN, a negative variance or weight, an indefinite `psi`, or a step at
-        which no model is available.
+        A wrong shape, a NaN, a negative variance or weight, an indefinite `psi`, a step at
+        which no model is available, or a budget that no schedule keeps: says what would do.
 
     Examples
     --------
@@ -200,6 +209,11 @@ class SelectionProblem(Frozen):
     model_cost: Array
     alpha: float = 1.0
     beta: float = 1.0
+    _: KW_ONLY
+    switch_cost: Array | None = None
+    initial_model: int | None = None
+    budget: float | None = None
+    pull: Array | None = None
 
     def __post_init__(self) -> None:
         names = ("psi", "mean", "variance", "model_cost")
@@ -225,13 +239,32 @@ class SelectionProblem(Frozen):
             name: check_number(name, getattr(self, name), minimum=0) for name in ("alpha", "beta")
         }
         self._set(psi=Psi, mean=mean, variance=variance, model_cost=cost, **weights)
+        if self.switch_cost is not None:
+            switch = check_array("switch_cost", self.switch_cost, "W W", (W, W))
+            check_range("switch_cost", switch)
+            if switch.diagonal().any():
+                raise ValueError("switch_cost: expected 0 on the diagonal, found others")
+            self._set(switch_cost=switch)
+        if self.initial_model is not None:
+            first = check_count("initial_model", self.initial_model, minimum=0)
+            if first >= W:
+                raise ValueError(f"initial_model: expected one of {W} models, found {first}")
+            self._set(initial_model=first)
+        if self.pull is not None:
+            self._set(pull=check_array("pull", self.pull, "H p", (H, p)))
+        if self.budget is not None:
+            self._set(budget=check_number("budget", self.budget))
+            least = float(self.perception_term(trellis.cheapest_path(self._price, self.switch_cost)))
+            if least > self._limit:
+                found = f"of at least {least!r}, which one schedule needs, found {self.budget!r}"
+                raise ValueError(f"budget: expected one {found}")
         with np.errstate(over="ignore", invalid="ignore"):
             # By Cauchy and Schwarz, a bound on every |mu|'|alpha Psi||mu|, without Psi's square.
             felt = np.sqrt(self.alpha * np.abs(Psi.diagonal())) @ np.abs(mean).max(axis=1).ravel()
-            largest = felt**2 + self.linear_size.sum()
+            largest = felt**2 + self.linear_size.sum() + self._most_spent * max(self.beta, 1)
         if not largest < 1e300:
             raise ValueError(
-                "psi: the costs overflow; rescale psi, mean, variance, model_cost, alpha or beta"
+                "psi: the costs overflow; rescale psi, mean, variance, the prices, alpha or beta"
             )
 
     @cached_property
@@ -252,14 +285,60 @@ class SelectionProblem(Frozen):
 
     @cached_property
     def linear(self) -> Array:
-        """Linear cost l[t,w] = alpha trace(Psi_tt Sigma[t,w]) + beta kappa[t,w], (H, W)."""
-        return frozen(self.alpha * self.spread + self._priced(self.model_cost, np.inf))
+        """What single models cost, (H, W): variances, pull, prices, and going to the first model.
+
+        l[t,w] = alpha (trace(Psi_tt Sigma[t,w]) + g_t'mu[t,w]) + beta kappa[t,w], and at step 0
+        beta sigma[initial, w] more.
+        """
+        control = self.alpha * self.spread
+        if self.pull is not None:
+            control = control + self.alpha * self._pulled(self.pull, self.mean)
+        return frozen(control + self._priced(self._price, np.inf))
 
     @cached_property
     def linear_size(self) -> Array:
         """The sizes of the terms that `linear` is summed from, (H, W); 0 where not available."""
-        spread = self._traces(np.abs(self.blocks), np.abs(self.variance))
-        return frozen(self.alpha * spread + self._priced(np.abs(self.model_cost), 0))
+        size = self.alpha * self._traces(np.abs(self.blocks), np.abs(self.variance))
+        if self.pull is not None:
+            size = size + self.alpha * self._pulled(np.abs(self.pull), np.abs(self.mean))
+        return frozen(size + self._priced(np.abs(self._price), 0))
+
+    @cached_property
+    def _price(self) -> Array:
+        """What a model alone adds to `perception_term`, (H, W); inf where not available."""
+        H, W, _ = self.mean.shape
+        price = np.array(np.broadcast_to(self.model_cost, (H, W)))
+        if self.switch_cost is not None and self.initial_model is not None:
+            price[0] += self.switch_cost[self.initial_model]
+        return frozen(price)
+
+    @cached_property
+    def _most_spent(self) -> float:
+        """No schedule's `perception_term` is larger."""
+        price = np.abs(np.where(np.isinf(self._price), 0, self._price))
+        tolls = 0.0 if self.switch_cost is None else len(price) * self.switch_cost.max()
+        return float(price.max(axis=1).sum() + tolls)
+
+    @cached_property
+    def _limit(self) -> float:
+        """The budget, and 1e-12 of the most that could be spent: sums in another order differ."""
+        return math.inf if self.budget is None else self.budget + 1e-12 * self._most_spent
+
+    @cached_property
+    def form(self) -> trellis.Form:
+        """The bare arrays that the engines work on."""
+        form = trellis.Form(self.quadratic, self.mean, self.linear, self.linear_size)
+        switch, limited = self.switch_cost, self.budget is not None
+        if switch is not None and switch.any() and (self.beta > 0 or limited):
+            form = form._replace(arc=frozen(self.beta * switch), toll=switch if limited else None)
+        if limited:
+            price = frozen(np.where(np.isinf(self._price), 0, self._price))
+            form = form._replace(price=price, limit=self._limit)
+        return form
+
+    @staticmethod
+    def _pulled(pull: Array, mean: Array) -> Array:
+        return np.asarray(np.einsum("ti,twi->tw", pull, mean))
 
     def _traces(self, blocks: Array, variance: Array) -> Array:
         over = "tij,twji->tw" if variance.ndim == 4 else "tii,twi->tw"
@@ -283,37 +362,51 @@ class SelectionProblem(Frozen):
         return self.mean[np.arange(c.shape[-1]), c].reshape(*c.shape[:-1], -1)
 
     def control_term(self, choices: npt.ArrayLike) -> Any:
-        """Return mu_c' Psi mu_c + sum_t trace(Psi_tt Sigma[t, w_t]) of `choices` (..., H)."""
-        return self._total(self.psi, self.chosen_mean(choices), self.spread, choices)
+        """mu_c' Psi mu_c + sum_t trace(Psi_tt Sigma[t, w_t]) + sum_t g_t'mu[t, w_t]; (..., H)."""
+        table = self.spread
+        if self.pull is not None:
+            table = table + self._pulled(self.pull, self.mean)
+        return self._total(self.psi, self.chosen_mean(choices), table, None, choices)
 
     def perception_term(self, choices: npt.ArrayLike) -> Any:
-        """Return sum_t kappa[t, w_t] of `choices` (..., H) (``eq:jp``)."""
-        c, table = self._check(choices), np.broadcast_to(self.model_cost, self.mean.shape[:2])
-        return table[np.arange(c.shape[-1]), c].sum(axis=-1)
+        """sum_t kappa[t, w_t] + sum_t sigma[w_{t-1}, w_t] of `choices` (..., H) (``eq:jp``)."""
+        return trellis.path_sum(self._price, self.switch_cost, self._check(choices))
 
     def total_cost(self, choices: npt.ArrayLike) -> Any:
         """Return alpha control_term + beta perception_term of `choices` (..., H)."""
-        return self._total(self.quadratic, self.chosen_mean(choices), self.linear, choices)
+        mu = self.chosen_mean(choices)
+        return self._total(self.quadratic, mu, self.linear, self.form.arc, choices)
+
+    def is_feasible(self, choices: npt.ArrayLike) -> Any:
+        """Whether `choices` (..., H) are available and keep the budget, up to rounding."""
+        return self.perception_term(choices) <= min(self._limit, 1e308)
 
     def cost_rounding(self, choices: npt.ArrayLike) -> Any:
         """How far `total_cost` of `choices` (..., H) can be off: its terms' sizes, times k eps."""
         mu, M = np.abs(self.chosen_mean(choices)), np.abs(self.quadratic)
         unit = trellis.rounding_unit(M, self.mean)
-        return unit * self._total(M, mu, self.linear_size, choices)
+        return unit * self._total(M, mu, self.linear_size, self.form.arc, choices)
 
     def exact_cost(self, choices: npt.ArrayLike) -> Fraction:
         """Total cost of `choices` (H,), all available, in rational arithmetic on these floats."""
         c, steps = self._check(choices), np.arange(len(self.mean))
-        chosen = self.variance[steps, c]
+        chosen, mu = self.variance[steps, c], self.chosen_mean(choices)
         Sigma = chosen if chosen.ndim == 3 else chosen[..., None] * np.eye(chosen.shape[-1])
-        control = trellis.exact_form(self.psi, self.chosen_mean(c))
+        control = trellis.exact_form(self.psi, mu)
         control += trellis.exact_product(self.blocks, Sigma.swapaxes(-1, -2))
-        price = np.broadcast_to(self.model_cost, self.mean.shape[:2])[steps, c]
-        return Fraction(self.alpha) * control + Fraction(self.beta) * sum(map(Fraction, price))
+        if self.pull is not None:
+            control += trellis.exact_product(self.pull.ravel(), mu)
+        paid = np.broadcast_to(self.model_cost, self.mean.shape[:2])[steps, c]
+        if self.switch_cost is not None:
+            paid = np.append(paid, self.switch_cost[c[:-1], c[1:]])
+            if self.initial_model is not None:
+                paid = np.append(paid, self.switch_cost[self.initial_model, c[0]])
+        return Fraction(self.alpha) * control + Fraction(self.beta) * sum(map(Fraction, paid))
 
-    def _total(self, M: Array, mu: Array, table: Array, choices: npt.ArrayLike) -> Any:
-        c = self._check(choices)
-        return ((mu @ M) * mu).sum(axis=-1) + table[np.arange(c.shape[-1]), c].sum(axis=-1)
+    def _total(
+        self, M: Array, mu: Array, table: Array, arc: Array | None, choices: npt.ArrayLike
+    ) -> Any:
+        return ((mu @ M) * mu).sum(axis=-1) + trellis.path_sum(table, arc, self._check(choices))
 
     def _check(self, choices: npt.ArrayLike) -> Choices:
         return check_choices(choices, *self.mean.shape[:2])
@@ -326,11 +419,11 @@ def stepwise_cost(problem: SelectionProblem) -> Array:
 
 
 def is_separable(problem: SelectionProblem) -> bool:
-    """Whether no mean error at one step meets one at another step through Psi."""
+    """Whether steps meet neither through Psi nor through switching costs or a budget."""
     H, _, p = problem.mean.shape
     felt = (problem.mean != 0).any(axis=1).ravel() & (problem.alpha != 0)
     meets = ((problem.psi != 0) & felt[:, None] & felt).reshape(H, p, H, p).any(axis=(1, 3))
-    return not (meets & ~np.eye(H, dtype=bool)).any()
+    return problem.form.bare and not (meets & ~np.eye(H, dtype=bool)).any()
 
 
 # --------------------------------------------------------------- schedules and certificates
@@ -343,10 +436,11 @@ class Schedule(Frozen):
     choices: Choices  #: (H,), model of every step
     cost: float  #: `SelectionProblem.total_cost` of the choices
     lower_bound: float  #: no schedule costs less; above root_bound by a search, or the prices
-    root_bound: float  #: LB(reference), which `check_certificate` derives anew
+    root_bound: float  #: LB(reference, multiplier), which `check_certificate` derives anew
     reference: Array  #: (pH,), the point d: any d gives a bound, a good d a tight one
     solver: str  #: name of the function that found the schedule
     work: Mapping[str, Any] = field(default_factory=dict, repr=False)  #: counts, seconds, the tree
+    multiplier: float = 0.0  #: lam >= 0: total cost that one more unit of budget saves the bound
 
     def __post_init__(self) -> None:
         self._set(choices=frozen(np.asarray(self.choices, dtype=np.intp)))
@@ -358,27 +452,40 @@ class Schedule(Frozen):
         return relative_gap(self.cost, self.lower_bound)
 
     @property
+    def proof(self) -> str:
+        """"root" if the certificate alone carries `lower_bound`, "search" if a search's word does."""
+        return "root" if self.lower_bound <= self.root_bound else "search"
+
+    @property
     def is_optimal(self) -> bool:
         """Whether the gap is at most `OPTIMALITY_GAP`, so that nothing is better by more."""
         return self.gap <= OPTIMALITY_GAP
 
 
-def reference_bound(problem: SelectionProblem, reference: npt.ArrayLike) -> tuple[float, Array]:
-    """Bound every schedule from below, from one point d = `reference` (pH,): LB(d), r (H, W).
+def reference_bound(
+    problem: SelectionProblem, reference: npt.ArrayLike, multiplier: float = 0.0
+) -> tuple[float, Array]:
+    """Bound every schedule from below, from d = `reference` (pH,) and lam: LB(d, lam), r (H, W).
 
-    With G[t,w] = 2 mu[t,w]'(alpha Psi d)_t + l[t,w], LB(d) = sum_t min_w G[t,w] - d'(alpha Psi)d
-    and r[t,w] = G[t,w] - min_w G[t,w] >= 0, every schedule satisfies
+    With G[t,w] = 2 mu[t,w]'(alpha Psi d)_t + l[t,w] + lam kappa[t,w] and arcs (beta + lam) sigma,
 
-        total(c) = LB(d) + sum_t r[t, w_t] + (mu_c - d)'(alpha Psi)(mu_c - d)
+        LB(d, lam) = cheapest path - d'(alpha Psi)d - lam budget,
+        total(c)  >= LB(d, lam) + r[t, w_t] + (mu_c - d)'(alpha Psi)(mu_c - d)    for every t,
 
-    up to rounding, which is taken off G and LB: so total(c) is not less, in exact numbers.
+    r >= 0 what the cheapest path through (t, w) costs more.  Without switching costs the cheapest
+    path is sum_t min_w G[t,w], and the sum of all r[t, w_t] may stand there.  Rounding is taken
+    off: total(c) is not less, in exact numbers.
     """
     d = check_array("reference", reference, "pH", (len(problem.psi),))
-    tables = (problem.quadratic, problem.mean, problem.linear, problem.linear_size)
-    bound, reduced = trellis.certificate(*tables, d)
-    if not math.isfinite(bound):
+    found = _certificate(problem, d, check_number("multiplier", multiplier, minimum=0))
+    return found.bound, found.reduced
+
+
+def _certificate(problem: SelectionProblem, d: Array, multiplier: float) -> trellis.Certificate:
+    found = trellis.certificate(problem.form, d, multiplier)
+    if not math.isfinite(found.bound):
         raise ValueError("reference: the bound overflows; take a point among the mean errors")
-    return bound, reduced
+    return found
 
 
 def check_certificate(problem: SelectionProblem, schedule: Schedule) -> float:
@@ -386,15 +493,18 @@ def check_certificate(problem: SelectionProblem, schedule: Schedule) -> float:
 
     A `lower_bound` above it was proved by a search, a minimum per step, or the prices, and is not
     re-derived here.
-    ValueError if the schedule does not state this bound and its own cost (up to rounding), or a
-    lower bound outside of them.
+    ValueError if the schedule is not feasible, does not state this bound and its own cost (up to
+    rounding), or a lower bound outside of them.  `Schedule.proof` says whether this is all of it.
     """
-    bound, _ = reference_bound(problem, schedule.reference)
+    bound, _ = reference_bound(problem, schedule.reference, schedule.multiplier)
+    if not problem.is_feasible(schedule.choices):
+        raise ValueError("schedule.choices: expected available models within the budget")
     cost, rounding = _cost(problem, schedule.choices)
     d = np.abs(schedule.reference)
     unit = trellis.rounding_unit(problem.quadratic, problem.mean)
     rounding += float(problem.cost_rounding(schedule.choices))  # Psi is semidefinite up to that
-    rounding += 4 * unit * float(d @ np.abs(problem.quadratic) @ d + abs(bound) + abs(cost))
+    paid = abs(schedule.multiplier * problem._limit) if schedule.multiplier else 0.0
+    rounding += 4 * unit * float(d @ np.abs(problem.quadratic) @ d + abs(bound) + abs(cost) + paid)
     claims = (("cost", schedule.cost, cost), ("root_bound", schedule.root_bound, bound))
     for name, stated, found in claims:
         if not (math.isfinite(found) and abs(stated - found) <= rounding):
@@ -423,26 +533,33 @@ def _cost(problem: SelectionProblem, choices: Choices) -> tuple[float, float]:
 def _certified(
     problem: SelectionProblem,
     choices: Choices,
-    reference: Array,
+    point: Relaxation,
     solver: str,
     proved: float = -math.inf,
     **work: Any,
 ) -> Schedule:
     """Make a Schedule, with the better bound of the certificate and what a search has `proved`.
 
-    As Psi is semidefinite, sum_t min_w l is a bound as well, that of the reference 0; so are the
-    cheapest prices, as no trace(Psi_tt Sigma) is negative.
+    As Psi is semidefinite, LB(0, 0) is a bound as well; without a pull so are the cheapest prices,
+    as no trace(Psi_tt Sigma) is negative.
     """
     cost, rounding = _cost(problem, choices)
-    root, d = max(
-        ((reference_bound(problem, d)[0], d) for d in (reference, np.zeros(len(reference)))),
-        key=lambda pair: pair[0],
+    points = ((point.reference, point.multiplier), (np.zeros(len(point.reference)), 0.0))
+    root, d, multiplier = max(
+        ((_certificate(problem, *pair).bound, *pair) for pair in points),
+        key=lambda triple: triple[0],
     )
-    prices = np.broadcast_to(problem._priced(problem.model_cost, np.inf), problem.mean.shape[:2])
-    cheapest = prices.min(axis=1)
+    cheapest = problem._priced(problem._price, np.inf).min(axis=1)
     floor = float(cheapest.sum() - len(cheapest) * trellis.EPS * np.abs(cheapest).sum())
-    lower = max(root, floor, min(proved, cost - rounding))
-    return Schedule(choices, cost, min(cost, lower), root, d, solver, work)
+    lower = max(root, floor if problem.pull is None else root, min(proved, cost - rounding))
+    return Schedule(choices, cost, min(cost, lower), root, d, solver, work, multiplier)
+
+
+def _at(problem: SelectionProblem, choices: Choices) -> Relaxation:
+    """The point of the relaxation that a schedule is itself."""
+    cost = float(problem.total_cost(choices))
+    b = one_hot(choices, problem.mean.shape[1])
+    return Relaxation(b, problem.chosen_mean(choices), cost, -math.inf, 0)
 
 
 def _stopwatch(time_limit: float | None) -> Callable[[], float]:
@@ -471,8 +588,8 @@ def enumerate_schedules(problem: SelectionProblem, *, max_schedules: int = 2**22
         block = number[:, None] // W ** np.arange(H)[::-1] % W  # the digits of 0..W^H-1 in base W
         found.append(_cheapest(problem, block))
     best, _ = _cheapest(problem, np.array([choices for choices, _ in found]))
-    proved, d = min(bound for _, bound in found), problem.chosen_mean(best)
-    return _certified(problem, best, d, "enumerate_schedules", proved, schedules=W**H)
+    proved, point = min(bound for _, bound in found), _at(problem, best)
+    return _certified(problem, best, point, "enumerate_schedules", proved, schedules=W**H)
 
 
 def _cheapest(problem: SelectionProblem, schedules: Choices) -> tuple[Choices, float]:
@@ -481,6 +598,7 @@ def _cheapest(problem: SelectionProblem, schedules: Choices) -> tuple[Choices, f
     Where rounding hides which is the cheapest, up to 1000 of them are compared in fractions.
     """
     costs, rounding = problem.total_cost(schedules), problem.cost_rounding(schedules)
+    costs = np.where(problem.is_feasible(schedules), costs, np.inf)
     upper = (costs + rounding).min()
     close = np.flatnonzero(costs - rounding <= upper)
     if (
@@ -507,20 +625,18 @@ def solve_separable(problem: SelectionProblem) -> Schedule:
     unit = trellis.rounding_unit(problem.quadratic, mean)
     proved = float((alone - unit * size).min(axis=1).sum())
     choices = alone.argmin(axis=1)
-    return _certified(problem, choices, problem.chosen_mean(choices), "solve_separable", proved)
+    return _certified(problem, choices, _at(problem, choices), "solve_separable", proved)
 
 
 # ------------------------------------------------------------------- solvers: the relaxation
 
 
 def _relaxation(
-    problem: SelectionProblem, linear: Array, b: Array, iterations: int = 0
+    problem: SelectionProblem, form: trellis.Form, b: Array, iterations: int = 0
 ) -> Relaxation:
-    """Evaluate weights b; `linear` is infinite where a model may not be used."""
-    M, mean, d = problem.quadratic, problem.mean, trellis.mixed(problem.mean, b)
-    value = trellis.relaxed(M, mean, linear, b)[0]
-    bound, _ = trellis.certificate(M, mean, linear, problem.linear_size, d)
-    return Relaxation(b, d, value, bound, iterations)
+    """Evaluate weights b; the linear costs of `form` are infinite where a model may not be used."""
+    d, value = trellis.mixed(form.mean, b), trellis.relaxed(form, b)[0]
+    return Relaxation(b, d, value, trellis.certificate(form, d).bound, iterations)
 
 
 def _own_weights(problem: SelectionProblem, relaxation: Relaxation) -> Relaxation:
@@ -532,7 +648,12 @@ def _own_weights(problem: SelectionProblem, relaxation: Relaxation) -> Relaxatio
             "relaxation.weights: expected rows >= 0 that sum to 1, and 0 where a model is not "
             "available, found others"
         )
-    return _relaxation(problem, problem.linear, b, relaxation.iterations)
+    if problem.form.bare:
+        return _relaxation(problem, problem.form, b, relaxation.iterations)
+    multiplier = relaxation.multiplier if problem.budget is not None else 0.0
+    d = trellis.mixed(problem.mean, b)
+    bound = _certificate(problem, d, multiplier).bound
+    return relaxation._replace(reference=d, bound=bound, multiplier=multiplier)
 
 
 def relax(
@@ -548,6 +669,7 @@ def relax(
     (on the simplex only differences between models matter), L_t = 2 L trace(D_t'M_tt D_t) and L
     the largest eigenvalue of the Hessian so scaled.  See `projected_gradient`.
     """
+    _expect_bare(problem)
     H, _, p = problem.mean.shape
     allowed = np.isfinite(problem.linear)
     D = (problem.mean - problem.mean.mean(axis=1, keepdims=True)) * allowed[..., None]
@@ -564,13 +686,18 @@ def relax(
         return project_to_simplex(np.where(allowed, b, shunned))
 
     def evaluate(b: Array) -> tuple[float, float, Array]:
-        value, bound, G = trellis.relaxed(problem.quadratic, problem.mean, problem.linear, b)
+        value, bound, G = trellis.relaxed(problem.form, b)
         return value, bound, np.where(allowed, G, 0)
 
     start = allowed / allowed.sum(axis=1, keepdims=True)
     limits = (gap, problem.rounding, max_iterations)
     b, iterations = projected_gradient(evaluate, project, start, step, *limits)
-    return _relaxation(problem, problem.linear, b, iterations)
+    return _relaxation(problem, problem.form, b, iterations)
+
+
+def _expect_bare(problem: SelectionProblem) -> None:
+    if not problem.form.bare:
+        raise ValueError("problem: expected no switching costs, no budget; use relax_by_columns")
 
 
 def relax_interior_point(
@@ -589,6 +716,7 @@ def relax_interior_point(
     as soon as the bound exceeds `ceiling`, after `time_limit` seconds or `max_iterations`: any
     iterate is a certificate, and that of the smallest gap comes back.
     """
+    _expect_bare(problem)
     usable = np.isfinite(problem.linear)
     if allowed is not None:
         mask = check_array("allowed", allowed, "H W", usable.shape)
@@ -600,10 +728,46 @@ def relax_interior_point(
     gap = check_number("gap", gap, minimum=0)
     ceiling = float(check_array("ceiling", ceiling, "", (), finite=False))
     time_left, iterations = _stopwatch(time_limit), check_count("max_iterations", max_iterations)
-    return _newton(problem, usable, gap, ceiling, time_left, iterations)
+    return _relax(problem, usable, gap, ceiling, time_left, iterations)
 
 
-def _newton(
+def relax_by_columns(
+    problem: SelectionProblem,
+    *,
+    gap: float = 1e-8,
+    time_limit: float | None = None,
+    max_iterations: int = 300,
+) -> Relaxation:
+    """Relax to mixtures of whole schedules: with switching costs and a budget, too.
+
+    The mixtures' mean errors form a polytope; column generation (`trellis.columns`) finds its
+    corners as it needs them, by the cheapest path at the prices (d, lam) of the last mixture.
+    Without switching costs and a budget this is `relax_interior_point`, slower.
+    """
+    gap, time_left = check_number("gap", gap, minimum=0), _stopwatch(time_limit)
+    most = check_count("max_iterations", max_iterations)
+    found = trellis.columns(
+        problem.form,
+        closes(gap, problem.rounding),
+        ceiling=math.inf,
+        time_left=time_left,
+        max_iterations=most,
+    )
+    return _mixture(problem.form, found)
+
+
+def _mixture(form: trellis.Form, found: trellis.Columns | None) -> Relaxation:
+    """Certify a mixture of schedules; where there is none, no schedule is below infinity."""
+    if found is None:
+        b = np.where(form.linear < np.inf, 1.0, 0.0)
+        b /= b.sum(axis=1, keepdims=True)
+        return Relaxation(b, trellis.mixed(form.mean, b), math.inf, math.inf, 0)
+    bound = trellis.certificate(form, found.reference, found.multiplier).bound
+    b, d, multiplier, value, iterations, _ = found
+    return Relaxation(b, d, value, bound, iterations, multiplier)
+
+
+def _relax(
     problem: SelectionProblem,
     usable: Mask,
     gap: float,
@@ -611,19 +775,19 @@ def _newton(
     time_left: Callable[[], float],
     max_iterations: int = 60,
 ) -> Relaxation:
-    """Run the interior point on the problem whose other models are not available."""
-    M, mean, linear = problem.quadratic, problem.mean, np.where(usable, problem.linear, np.inf)
-    weights, iterations = interior_point(
-        M,
-        mean,
-        usable,
-        lambda b: trellis.relaxed(M, mean, linear, b),
-        closes(gap, problem.rounding),
-        ceiling=ceiling,
-        time_left=time_left,
-        max_iterations=max_iterations,
-    )
-    return _relaxation(problem, linear, weights, iterations)
+    """Relax the problem whose other models are not available, by the fastest way that does it."""
+    form = problem.form._replace(linear=np.where(usable, problem.linear, np.inf))
+    closed = closes(gap, problem.rounding)
+    limits: dict[str, Any] = {"ceiling": ceiling, "time_left": time_left}
+    if not form.bare:
+        return _mixture(form, trellis.columns(form, closed, **limits, max_iterations=300))
+
+    def evaluate(b: Array) -> tuple[float, float, Array]:
+        return trellis.relaxed(form, b)
+
+    limits["max_iterations"] = max_iterations
+    weights, steps = interior_point(form.M, form.mean, usable, evaluate, closed, **limits)
+    return _relaxation(problem, form, weights, steps)
 
 
 # -------------------------------------------------------------------- solvers: local search
@@ -649,27 +813,30 @@ def _start(
 ) -> Schedule:
     """Relax, unless that is done, round and swap: what exact searches start from."""
     if relaxation is None:
-        relaxation = _newton(problem, np.isfinite(problem.linear), 1e-7, math.inf, time_left)
-    start = _own_weights(problem, relaxation)
-    choices, swaps = _swap(problem, start.weights.argmax(axis=1), time_left)
-    return _certified(problem, choices, start.reference, "round_and_swap", swaps=swaps)
+        relaxation = _relax(problem, np.isfinite(problem.linear), 1e-7, math.inf, time_left)
+    point = _own_weights(problem, relaxation)
+    choices, swaps = _swap(problem, point.weights.argmax(axis=1), time_left)
+    if not problem.form.bare:  # rounding may break the budget, and swaps are weak beside arcs
+        starts = [trellis.cheapest_path(problem._price, problem.switch_cost), choices]
+        starts.append(_path_at(problem, point))
+        swapped = [_swap(problem, c, time_left) for c in starts]
+        legal = [pair for pair in swapped if problem.is_feasible(pair[0])] or [(starts[0], 0)]
+        choices, swaps = min(legal, key=lambda pair: _cost(problem, pair[0])[0])
+    return _certified(problem, choices, point, "round_and_swap", swaps=swaps)
+
+
+def _path_at(problem: SelectionProblem, point: Relaxation) -> Choices:
+    """The cheapest path at the prices of a point."""
+    form, lam = problem.form, point.multiplier
+    return trellis.cheapest_path(trellis.slopes(form, point.reference, lam)[0], form.priced(lam))
 
 
 def _swap(
     problem: SelectionProblem, choices: Choices, time_left: Callable[[], float]
 ) -> tuple[Choices, int]:
     """Take the best single swap while it helps by more than rounding; return choices and count."""
-    p = problem.mean.shape[2]
-    M, mean, c, swaps = problem.quadratic, problem.mean, choices.copy(), 0
-    pull, noise = M @ problem.chosen_mean(c), max(problem.rounding, problem.cost_rounding(c))
-    while time_left() > 0 and swaps < 100 * len(c):  # rounding that runs in circles comes to an end
-        change = trellis.swap_costs(M, mean, problem.linear, c, pull)
-        t, w = np.unravel_index(change.argmin(), change.shape)
-        if not change[t, w] < -noise:
-            break
-        pull += M[:, t * p : (t + 1) * p] @ (mean[t, w] - mean[t, c[t]])
-        c[t], swaps = w, swaps + 1
-    return c, swaps
+    noise = max(problem.rounding, float(problem.cost_rounding(choices)))
+    return trellis.swap(problem.form, choices, noise, time_left)
 
 
 # ----------------------------------------------------- solvers: dynamic programming on labels
@@ -687,31 +854,41 @@ def plain_dynamic_program(problem: SelectionProblem, *, max_labels: int = 2**18)
     if W**H > max_labels:
         raise ValueError(f"problem: expected at most {max_labels} labels, found {W}^{H}")
     first = _start(problem, None, _stopwatch(None))
-    root, reduced = reference_bound(problem, first.reference)
-    e = _deviation(problem, first.reference)
-    triangle = label_search.factor(problem.quadratic, e, reduced, first.cost - root)
-    reduced, U = triangle.reduced, triangle.U  # infinite where no better schedule goes
-    labels: list[tuple[Any, Array, tuple[int, ...]]] = [(0.0, np.zeros(H * p), ())]
+    d, lam = first.reference, first.multiplier
+    found = _certificate(problem, d, lam)
+    triangle = label_search.factor(problem.form, found, d, lam, first.cost - found.base)
+    purse, U, e = label_search.purse(problem.form, lam), triangle.U, triangle.deviation
+    moves = triangle.moves  # infinite where no better schedule goes
+    spend = np.zeros_like(moves) if purse.spend is None else purse.spend
+    labels: list[tuple[Any, Any, Array, tuple[int, ...]]] = [(0.0, 0.0, np.zeros(H * p), ())]
     for t in reversed(range(H)):
-        rows = slice(t * p, (t + 1) * p)
-        grown = (
-            (extra + reduced[t, w], y + U[:, rows] @ e[t, w], (w, *later))
-            for extra, y, later in labels
-            for w in range(W)
-        )
-        labels = [(extra + (y[rows] ** 2).sum(), y, choices) for extra, y, choices in grown]
-    extra, _, choices = min(labels, key=lambda label: label[0])
+        rows, grown = slice(t * p, (t + 1) * p), []
+        for extra, spent, y, later in labels:
+            state = later[0] if later and moves.shape[1] > 1 else 0
+            for w in range(W):
+                shifted = y + U[:, rows] @ e[t, w]
+                cost = extra + moves[t, state, w] + (shifted[rows] ** 2).sum()
+                grown.append((cost, spent + spend[t, state, w], shifted, (w, *later)))
+        labels = grown
+    rest = [
+        (extra + lam * max(purse.limit - spent, 0) if lam else extra, choices)
+        for extra, spent, _, choices in labels
+        if spent <= purse.limit + purse.grain
+    ]
+    excess, choices = min(rest, default=(math.inf, ()))
     best, proved, work = first.choices, first.cost, {"labels": len(labels)}
-    if extra < math.inf:
-        lost = label_search.losses(triangle, [], float(extra), 0.0, 0.0).total
-        best, proved = np.array(choices), min(proved, root + triangle.constant + extra - lost)
-    return _certified(problem, best, first.reference, "plain_dynamic_program", proved, **work)
+    if excess < math.inf:
+        lost = label_search.losses(triangle, [], purse, float(excess), 0.0, 0.0).total
+        proved = min(proved, found.base + triangle.constant + excess - lost)
+        if problem.is_feasible(choices):
+            best = np.array(choices)
+    return _certified(problem, best, _point(first), "plain_dynamic_program", proved, **work)
 
 
-def _deviation(problem: SelectionProblem, reference: Array) -> Array:
-    """e[t, w] = mu[t, w] - d_t, (H, W, p)."""
-    H, _, p = problem.mean.shape
-    return problem.mean - reference.reshape(H, 1, p)
+def _point(schedule: Schedule) -> Relaxation:
+    """The certificate's point of a schedule."""
+    empty = np.zeros((0, 0))
+    return Relaxation(empty, schedule.reference, math.inf, 0.0, 0, schedule.multiplier)
 
 
 def dynamic_program(
@@ -740,7 +917,8 @@ def dynamic_program(
     closed = closes(check_number("gap", gap, minimum=0), 0.0)
     first = _start(problem, relaxation, time_left)
     best, cost, proved, d = first.choices, first.cost, first.root_bound, first.reference
-    root, reduced = reference_bound(problem, d)
+    certificate = _certificate(problem, d, first.multiplier)
+    root, purse = certificate.base, label_search.purse(problem.form, first.multiplier)
     steps: list[label_search.Coordinates] = []
     labels, passes, complete = np.zeros(len(problem.mean), dtype=np.intp), 0, False
 
@@ -752,8 +930,8 @@ def dynamic_program(
         if closed(cost, proved) or expired():
             break
         if not steps:
-            deviation = _deviation(problem, d)
-            triangle = label_search.factor(problem.quadratic, deviation, reduced, cost - root)
+            given = (problem.form, certificate, d, first.multiplier)
+            triangle = label_search.factor(*given, cost - root)
         excess = max(0.0, cost - root - triangle.constant)
         rounding = float(problem.cost_rounding(best))
         slack = max(SEARCH_SLACK * abs(cost), rounding)
@@ -764,12 +942,12 @@ def dynamic_program(
             steps = label_search.compress(triangle, least, expired)
             if not steps:
                 break
-        given = label_search.losses(triangle, steps, excess, slack, least)
-        found = label_search.search(triangle, steps, given, width, expired)
+        lost = label_search.losses(triangle, steps, purse, excess, slack, least)
+        found = label_search.search(triangle, steps, purse, lost, width, expired)
         labels, passes, complete, before = found.labels, passes + 1, found.complete, cost
         if found.choices is not None:
             better, _ = _swap(problem, found.choices, time_left)
-            if (lower := _cost(problem, better)[0]) < cost:
+            if problem.is_feasible(better) and (lower := _cost(problem, better)[0]) < cost:
                 best, cost = better, lower
         summing = 4 * trellis.EPS * (abs(root) + abs(found.least))
         proved = max(proved, min(before, root + found.least - summing))
@@ -778,7 +956,7 @@ def dynamic_program(
             break
     work = {"labels": labels, "passes": passes, "complete": complete}
     work["seconds"] = perf_counter() - started
-    return _certified(problem, best, d, "dynamic_program", proved, **work)
+    return _certified(problem, best, _point(first), "dynamic_program", proved, **work)
 
 
 # --------------------------------------------------------------- solvers: branch and bound
@@ -818,7 +996,7 @@ def branch_and_bound(
     gap = check_number("gap", gap, minimum=0)
     allowed = np.isfinite(problem.linear)
     if relaxation is None:
-        relaxation = _newton(problem, allowed, gap / 10, math.inf, time_left)
+        relaxation = _relax(problem, allowed, gap / 10, math.inf, time_left)
     root = _own_weights(problem, relaxation)
     first = _start(problem, root, time_left)
     best, cost, settled = first.choices, first.cost, math.inf
@@ -836,21 +1014,23 @@ def branch_and_bound(
                 break
             child = allowed.copy()
             child[step] = np.arange(child.shape[1]) == model
-            point = _newton(problem, child, gap / 10, cost, time_left)
+            point = _relax(problem, child, gap / 10, cost, time_left)
             bound, child, undecided = _narrowed(problem, child, point, cost)
             bound = max(lower, bound)
             tree.append(Node(parent, int(step), int(model), bound, perf_counter() - started, cost))
             rounded = np.where(child, point.weights, -1).argmax(axis=1)
             if child[undecided].sum() == 1:  # a single schedule is left
-                settled = min(settled, _at_least(problem, rounded))
+                if problem.is_feasible(rounded):
+                    settled = min(settled, _at_least(problem, rounded))
             elif bound < cost:
                 heapq.heappush(queue, (bound, len(tree) - 1, child, undecided))
             candidate, _ = _swap(problem, rounded, time_left)
-            if (lower_cost := _cost(problem, candidate)[0]) < cost:
+            legal = problem.is_feasible(candidate)
+            if legal and (lower_cost := _cost(problem, candidate)[0]) < cost:
                 best, cost = candidate, lower_cost
     lower = min([settled, cost, *(node[0] for node in queue[:1])])
     work = {"nodes": len(tree), "tree": tree, "seconds": perf_counter() - started}
-    return _certified(problem, best, first.reference, "branch_and_bound", lower, **work)
+    return _certified(problem, best, _point(first), "branch_and_bound", lower, **work)
 
 
 def _at_least(problem: SelectionProblem, choices: Choices) -> float:
@@ -867,12 +1047,14 @@ def _narrowed(
     Return the bound, the models left, and the step to split, which has a choice left if any has.
     """
     H, _, p = problem.mean.shape
-    linear = np.where(allowed, problem.linear, np.inf)
-    tables = (problem.quadratic, problem.mean, linear, problem.linear_size)
-    bound, reduced = trellis.certificate(*tables, point.reference)
+    form = problem.form._replace(linear=np.where(allowed, problem.linear, np.inf))
+    found = trellis.certificate(form, point.reference, point.multiplier)
+    bound, reduced = found.bound, found.reduced
+    if point.bound == math.inf:  # nothing below this node keeps the budget
+        return math.inf, allowed, 0
     narrowed = allowed & (reduced <= cost - bound)
     narrowed[np.arange(H), reduced.argmin(axis=1)] = True
-    away = _deviation(problem, point.reference) ** 2
+    away = (problem.mean - point.reference.reshape(H, 1, p)) ** 2
     weight = problem.quadratic.diagonal().reshape(H, 1, p)
     blur = (point.weights * (away * weight).sum(axis=-1)).sum(axis=1)
     return bound, narrowed, int(np.where(narrowed.sum(axis=1) > 1, blur, -1.0).argmax())
@@ -929,7 +1111,7 @@ def solve(
     time_left = _stopwatch(time_limit)
     if is_separable(problem):
         return solve_separable(problem)
-    relaxation = _newton(problem, np.isfinite(problem.linear), 1e-7, math.inf, time_left)
+    relaxation = _relax(problem, np.isfinite(problem.linear), 1e-7, math.inf, time_left)
     quick = _start(problem, relaxation, time_left)
     if quick.gap <= gap or time_left() <= 0:
         return quick

@@ -28,8 +28,9 @@ class Relaxation(NamedTuple):
     weights: Array  #: (H, W), each row on the simplex
     reference: Array  #: (pH,), the mean error d_t = sum_w b[t,w] mu[t,w]
     value: float  #: objective at `weights`
-    bound: float  #: LB(reference), a lower bound on every schedule
+    bound: float  #: LB(reference, multiplier), a lower bound on every schedule
     iterations: int  #: iterations of the method
+    multiplier: float = 0.0  #: lam, the price of one unit of budget
 
     @property
     def gap(self) -> float:
