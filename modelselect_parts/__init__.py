@@ -1,6 +1,7 @@
 """What the three modules stand on; each room uses only rooms above it.
 
 ===============  ==============================================================================
+semidefinite     semidefinite matrices up to rounding: judged, mended, factored
 checks           the one checker of arguments, the types of array
 regulator        paper II: the task, its controllers, what each knows, and Psi
 trellis          the certificate, on bare arrays

@@ -17,9 +17,9 @@ from modelselect_parts.checks import (
     check_array,
     check_count,
     check_number,
-    semidefinite_root,
 )
 from modelselect_parts.descent import projected_gradient
+from modelselect_parts.semidefinite import semidefinite_root
 
 
 class Selection(Protocol):

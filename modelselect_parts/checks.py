@@ -1,13 +1,12 @@
 """The one checker of arguments, and the types of array that all modules speak of.
 
-What is wrong raises ValueError, in one line that opens with the caller's name of the argument and
-says what was expected and what was found.  What is right comes back as an array that nobody can
-write to, and such an array is not checked twice: another weight for a large problem is free.
+What is wrong raises ValueError, in one line: the caller's name of the argument, what was expected
+and what was found.  What is right comes back as an array that nobody can write to, and that is not
+checked twice: another weight for a large problem is free.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Collection, Sequence
 from dataclasses import fields
 from functools import partial
@@ -17,13 +16,14 @@ from weakref import WeakValueDictionary
 import numpy as np
 import numpy.typing as npt
 
+from modelselect_parts.semidefinite import EPSILON, MATRIX_TOLERANCE, judged, mended
+from modelselect_parts.semidefinite import semidefinite_root as semidefinite_root
+
 Array = npt.NDArray[np.float64]
 Choices = npt.NDArray[np.intp]
 Mask = npt.NDArray[np.bool_]
 
-MATRIX_TOLERANCE = 1e-12  # see "Tolerances" in modelselect.py
-KINDS = ("finite", "without NaN")
-#: What was found out of arrays that cannot change; an entry goes with its array.
+#: What was found of arrays that cannot change, such as "finite"; an entry goes with its array.
 _FACTS: WeakValueDictionary[tuple[int, str], npt.NDArray[Any]] = WeakValueDictionary()
 
 
@@ -70,24 +70,25 @@ def check_array(
 
     `sizes` holds a length for each axis, or None; a leading ``...`` admits axes in front.
     """
-    raw, letters = as_numbers(name, value), axes.replace("...", "").split()
-    found = raw.shape[max(0, raw.ndim - len(letters)) :] if "..." in axes else raw.shape
-    right = len(found) == len(letters) and all(map(lambda k, n: k in (None, n), sizes, found))
+    raw, letters = as_numbers(name, value), tuple(axes.replace("...", "").split())
+    front = ("...",) if "..." in axes else ()
+    last = raw.shape[max(0, raw.ndim - len(letters)) :] if front else raw.shape
+    right = len(last) == len(letters) and all(map(lambda k, n: k in (None, n), sizes, last))
     if not right or 0 in raw.shape:
-        lengths = map(lambda axis, k: axis if k is None else str(k), letters, sizes)
-        wanted = [axis if axis == "..." else next(lengths) for axis in axes.split()]
-        named, sized = (", ".join(x) + "," * (len(x) == 1) for x in (axes.split(), wanted))
-        raise ValueError(f"{name}: expected shape ({named}) = ({sized}), found {raw.shape}")
-    if any(_FACTS.get((id(raw), fact)) is raw for fact in KINDS[: 2 - finite]):
+        sized = tuple(map(lambda axis, k: axis if k is None else str(k), letters, sizes))
+        expected = f"{front + letters} = {front + sized}".replace("'", "")
+        raise ValueError(f"{name}: expected shape {expected}, found {raw.shape}")
+    fact = "finite" if finite else "without NaN"
+    if _FACTS.get((id(raw), fact)) is raw:
         return raw
     array = frozen(np.asarray(raw, dtype=np.float64))
     if np.isnan(array).any() or (finite and np.isinf(array).any()):
         raise ValueError(f"{name}: expected finite numbers, found NaN or infinity")
-    _FACTS[id(array), KINDS[not finite]] = array
+    _FACTS[id(array), fact] = array
     return array
 
 
-def check_number(name: str, value: Any, *, minimum: float = -math.inf) -> float:
+def check_number(name: str, value: Any, *, minimum: float = -np.inf) -> float:
     """Return `value` as a finite float >= `minimum`."""
     number = float(check_array(name, value, "", ()))
     if number < minimum:
@@ -118,7 +119,7 @@ def check_rng(rng: object) -> np.random.Generator:
     return rng
 
 
-def check_range(name: str, array: Array, top: float = math.inf) -> None:
+def check_range(name: str, array: Array, top: float = np.inf) -> None:
     """Refuse an entry below 0 or above `top`."""
     if array.min() < 0:
         raise ValueError(f"{name}: expected numbers >= 0, found {array.min():g}")
@@ -133,43 +134,17 @@ def check_name(argument: str, name: object, known: Collection[str]) -> None:
 
 
 def check_semidefinite(name: str, matrices: Array, *, definite: bool = False) -> Array:
-    """Return symmetric positive semidefinite, or definite, `matrices` (..., k, k).
-
-    Judged after scaling the diagonal to 1, so that the units of the rows do not matter.  What
-    asymmetry is let pass is taken out, and what negative eigenvalue, lifted by the diagonal.
-    """
+    """Return symmetric positive semidefinite, or definite, `matrices` (..., k, k), mended."""
     fact, k = "definite" if definite else "semidefinite", matrices.shape[-1]
     if _FACTS.get((id(matrices), fact)) is matrices:
         return matrices
-    diagonal = np.diagonal(matrices, axis1=-2, axis2=-1)[..., None]
-    # Beside a zero on the diagonal, nothing but underflow may stand.
-    scale = np.sqrt(np.where(diagonal == 0, 1e-300, np.abs(diagonal)))
-    with np.errstate(over="ignore", invalid="ignore"):
-        scaled = matrices / scale / np.swapaxes(scale, -1, -2)
-        skew = np.abs(scaled - np.swapaxes(scaled, -1, -2)).max()
+    skew, least = judged(matrices)
     if skew > MATRIX_TOLERANCE:
-        remedy = f"symmetrise it first: ({name} + {name}.T) / 2"
-        raise ValueError(
-            f"{name}: expected a symmetric matrix, found asymmetry {skew:.3g}; {remedy}"
-        )
-    # Entries that overflow exceed their diagonal by far: the matrix is indefinite.
-    least = np.linalg.eigvalsh(scaled)[..., 0].min() if np.isfinite(scaled).all() else -math.inf
-    if least <= (10 * np.finfo(float).eps if definite else -MATRIX_TOLERANCE) * k:
-        found = f"found smallest eigenvalue {least:.3g} (of the matrix scaled to unit diagonal)"
-        raise ValueError(f"{name}: expected a positive {fact} matrix, {found}")
-    lift = -least if least < -k * np.finfo(float).eps else 0.0
-    if skew > 0 or lift > 0:
-        matrices = (matrices + np.swapaxes(matrices, -1, -2)) / 2
-        matrices = frozen(matrices + lift * np.eye(k) * matrices)
-    if not matrices.flags.writeable:
-        _FACTS[id(matrices), fact] = _FACTS[id(matrices), KINDS[0]] = matrices
-    return matrices
-
-
-def semidefinite_root(matrices: Array) -> Array:
-    """F (..., k, k) with F F' = `matrices`, symmetric positive semidefinite, up to rounding."""
-    diagonal = np.diagonal(matrices, axis1=-2, axis2=-1)[..., None]
-    scale = np.sqrt(np.where(diagonal > 0, diagonal, 1))
-    values, V = np.linalg.eigh(matrices / scale / np.swapaxes(scale, -1, -2))
-    rounding = matrices.shape[-1] * np.finfo(float).eps
-    return np.asarray(scale * V * np.sqrt(np.where(values > rounding, values, 0))[..., None, :])
+        found = f"asymmetry {skew:.3g}; symmetrise it first: ({name} + {name}.T) / 2"
+        raise ValueError(f"{name}: expected a symmetric matrix, found {found}")
+    if least <= (10 * EPSILON if definite else -MATRIX_TOLERANCE) * k:
+        found = f"smallest eigenvalue {least:.3g} (of the matrix scaled to unit diagonal)"
+        raise ValueError(f"{name}: expected a positive {fact} matrix, found {found}")
+    result = check_array(name, mended(matrices, skew, least), "...", ())
+    _FACTS[id(result), fact] = result
+    return result

@@ -36,7 +36,6 @@ import numpy.typing as npt
 import scipy.linalg as la
 
 from modelselect_parts.checks import (
-    MATRIX_TOLERANCE,
     Array,
     Frozen,
     as_numbers,
@@ -44,8 +43,8 @@ from modelselect_parts.checks import (
     check_count,
     check_name,
     check_semidefinite,
-    semidefinite_root,
 )
+from modelselect_parts.semidefinite import MATRIX_TOLERANCE, semidefinite_root
 
 # ------------------------------------------------------------------------------------ the task
 

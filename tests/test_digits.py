@@ -5,9 +5,9 @@ states and controls that follow cost e'Psi e, in every pattern, and half of the 
 is Psi e.  It plans by the textbook's recursion, in numbers of 60 digits, so that nothing is lost.
 """
 
+from decimal import Decimal, localcontext
 from functools import cache
 
-import mpmath
 import numpy as np
 import pytest
 
@@ -25,7 +25,7 @@ DIGITS = 60
 def precise(array):
     """The very floats of an array, as numbers of 60 digits."""
     found = np.empty(np.shape(array), dtype=object)
-    found.flat = [mpmath.mpf(float(x)) for x in np.ravel(array)]
+    found.flat = [Decimal(float(x)) for x in np.ravel(array)]
     return found
 
 
@@ -153,22 +153,22 @@ EXACTLY = {f.__name__: f for f in (open_loop, preview, causal, measurement)}
 
 def exact_psi(task, pattern):
     """Psi in 60 digits, of which rounding leaves 30 and more: Psi comes out symmetric to them."""
-    with mpmath.workdps(DIGITS):
+    with localcontext(prec=DIGITS):
         exact = EXACTLY[pattern](Plant(task))
         largest = max(abs(x) for x in exact.ravel())
-        assert max(abs(x) for x in (exact - exact.T).ravel()) <= largest * mpmath.mpf(10) ** -30
+        assert max(abs(x) for x in (exact - exact.T).ravel()) <= largest * Decimal(10) ** -30
         return exact
 
 
 def entry_error(found, exact):
     """The largest error of an entry ij against sqrt(Psi_ii Psi_jj); zeros against the largest."""
-    size = np.array([mpmath.sqrt(abs(x)) for x in exact.diagonal()])
+    size = np.array([abs(x).sqrt() for x in exact.diagonal()])
     worst = 0.0
     largest = max(size) ** 2
     for i, j in np.ndindex(*exact.shape):
         scale = size[i] * size[j]
         if scale:
-            worst = max(worst, float(abs(mpmath.mpf(float(found[i, j])) - exact[i, j]) / scale))
+            worst = max(worst, float(abs(Decimal(float(found[i, j])) - exact[i, j]) / scale))
         elif found[i, j]:
             worst = max(worst, 1e3 * float(abs(found[i, j]) / largest) if largest else np.inf)
     return worst
@@ -230,21 +230,21 @@ def batch(task):
 @pytest.mark.parametrize("varying", [False, True])
 @pytest.mark.parametrize("seed", range(4))
 def test_the_plans_of_the_oracle_are_those_of_the_stacked_matrices(seed, varying):
-    with mpmath.workdps(DIGITS):
+    with localcontext(prec=DIGITS):
         task = small(seed, varying)
         found, exact = open_loop(Plant(task)), batch(task)
-        assert max(abs(x) for x in (found - exact).ravel()) < mpmath.mpf(10) ** -50
+        assert max(abs(x) for x in (found - exact).ravel()) < Decimal(10) ** -50
 
 
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("pattern", PATTERNS)
 def test_the_oracle_is_the_cost_of_a_robot_that_starts_at_rest_and_is_fed_errors(pattern, seed):
     """e'Psi e against J, the sum over x_1 .. x_H and u_0 .. u_{H-1}, of random errors e."""
-    with mpmath.workdps(DIGITS):
+    with localcontext(prec=DIGITS):
         task = small(seed, varying=seed % 2)
         plant = Plant(task)
         e = precise(np.random.default_rng(seed).normal(size=task.p * task.horizon))
-        cost, x, planned = mpmath.mpf(0), precise(np.zeros(task.n)), precise(np.zeros(task.n))
+        cost, x, planned = Decimal(0), precise(np.zeros(task.n)), precise(np.zeros(task.n))
         push = [own @ e for own in plant.foreseen(pattern in ("open_loop", "preview"))]
         for t in range(task.horizon):
             told = plant.C[t] @ plant.errors(t) @ e
@@ -257,7 +257,7 @@ def test_the_oracle_is_the_cost_of_a_robot_that_starts_at_rest_and_is_fed_errors
             planned = plant.A[t] @ planned + plant.B[t] @ u + told
             x = plant.A[t] @ x + plant.B[t] @ u
             cost += u @ plant.R[t] @ u + x @ plant.Q[t + 1] @ x
-        assert abs(e @ exact_psi(task, pattern) @ e - cost) <= 1e-45 * cost
+        assert abs(e @ exact_psi(task, pattern) @ e - cost) <= Decimal(10) ** -45 * cost
 
 
 # ------------------------------------------------------------------------- tasks that cost digits

@@ -1,12 +1,14 @@
 """The landing experiments, held to the published numbers, to first principles and to roll-outs."""
 
 import csv
+import io
 import json
 import math
 import re
 import statistics
 import subprocess
 import sys
+from contextlib import chdir, redirect_stderr, redirect_stdout
 from dataclasses import replace
 from itertools import product
 from pathlib import Path
@@ -359,7 +361,7 @@ def test_altitude_starts_where_the_aircraft_does(small):
 
 @pytest.mark.parametrize("weights", [(0, 0.2), (0.8, 0), (0, 0)])
 def test_zero_weights(weights):
-    run = run_experiment(Settings(alpha=weights[0], beta=weights[1], **SMALL))
+    run = run_experiment(Settings(alpha=weights[0], beta=weights[1], horizon=12, trials=3))
     means = run.means()
     assert max(means[policy][2] for policy in FEASIBLE) == means["Optimal"][2]
     assert run.optimal.gap <= 1e-9
@@ -568,10 +570,20 @@ def test_what_is_not_said_is_as_published():
     assert len(preset().prior_mean) == 150
 
 
-def test_figures_go_to_a_folder_of_that_name_unless_told_otherwise(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    assert main([*TINY, "--quiet"]) == 0
-    files = {path.name for path in (tmp_path / "figures").iterdir()}
+@pytest.fixture(scope="module")
+def drawn(tmp_path_factory):
+    """Where the command line ran without --out, its numbers, and what it printed."""
+    folder, out, err = tmp_path_factory.mktemp("drawn"), io.StringIO(), io.StringIO()
+    with chdir(folder), redirect_stdout(out), redirect_stderr(err):
+        assert main([*TINY, "--quiet", "--json", "r.json"]) == 0
+    assert plt.get_fignums() == []
+    return folder, json.loads((folder / "r.json").read_text()), out.getvalue() + err.getvalue()
+
+
+def test_figures_go_to_a_folder_of_that_name_unless_told_otherwise(drawn):
+    folder, _, _ = drawn
+    assert {path.name for path in folder.iterdir()} == {"r.json", "figures"}
+    files = {path.name for path in (folder / "figures").iterdir()}
     assert files == {"percentages.csv", *(f"{key}.png" for key in FIGURES)}
 
 
@@ -767,19 +779,18 @@ def test_command_line_prints_and_writes(name, information, tmp_path, capsys):
     assert [file.name for file in tmp_path.rglob("*")] == ["new", "results.json"]
 
 
-def test_same_seed_same_files(tmp_path, capsys):
-    numbers = []
-    for name, figures in (("one", []), ("two", ["--no-figures"])):
-        folder = tmp_path / name
-        options = ["--quiet", "--out", str(folder), "--json", str(folder / "r.json"), *figures]
-        assert main([*TINY, *options]) == 0
-        numbers.append(json.loads((folder / "r.json").read_text()))
-        assert numbers[-1].pop("solve_seconds") >= 0
-    assert capsys.readouterr() == ("", "")
+def test_same_seed_same_files(drawn, tmp_path, capsys):
+    folder, numbers, printed = drawn
+    path = tmp_path / "out" / "r.json"
+    options = ["--quiet", "--out", str(path.parent), "--json", str(path), "--no-figures"]
+    assert main([*TINY, *options]) == 0
+    assert printed == "" and capsys.readouterr() == ("", "")
+    again = json.loads(path.read_text())
+    assert numbers["solve_seconds"] >= 0 and again["solve_seconds"] >= 0
+    assert again == numbers | {"solve_seconds": again["solve_seconds"]}
     assert plt.get_fignums() == []
-    assert numbers[0] == numbers[1]
-    files = {file.name: file for file in (tmp_path / "one").iterdir()}
-    assert set(files) == {"r.json", "percentages.csv", *(f"{key}.png" for key in FIGURES)}
+    files = {file.name: file for file in (folder / "figures").iterdir()}
+    assert set(files) == {"percentages.csv", *(f"{key}.png" for key in FIGURES)}
     run = run_experiment(Settings(horizon=4, trials=3))
     for key in ("costs", "schedule"):
         again, figure = tmp_path / "again.png", getattr(landing, f"plot_{key}")(run)

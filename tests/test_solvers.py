@@ -519,7 +519,7 @@ def test_shifting_every_price_shifts_the_total(problem, shift):
 @settings(max_examples=5)
 @given(st.integers(0, 10**6))
 def test_larger_budgets_never_worsen_the_answer(seed):
-    problem = known_suite(seed, H=16, W=4, p=2)
+    problem = known_suite(seed, H=12, W=4, p=2)
     for solver, budget in ((ms.dynamic_program, "max_labels"), (ms.branch_and_bound, "max_nodes")):
         sizes = (64, 128, 1024, 5000) if budget == "max_labels" else (1, 8, 64, 512)
         answers = [solver(problem, **{budget: size}) for size in sizes]

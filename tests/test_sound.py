@@ -665,13 +665,17 @@ def test_an_optimum_of_zero_is_proved(name):
         assert found.cost == found.lower_bound == 0
 
 
+#: Seconds that `solve` may take of these outside of CI: what it claims has to be true at any time.
+PATIENCE = {"time_limit": None if PROFILE == "ci" else 1.0}
+
+
 @pytest.mark.parametrize("K", [0.0, 30.0, 900.0])
 @pytest.mark.parametrize("n, delta", [(1, 2.5e-9), (6, 1e-10), (11, 4.9e-11), (30, 2e-11)])
 def test_what_many_merges_and_truncations_lose_together_is_subtracted(n, delta, K):
     """Each pair tempts a search to give 2 delta away; all of them are more than 1e-9."""
     problem, better = pulled(n, delta, K)
-    for solver in (ms.dynamic_program, ms.solve):
-        witnessed(problem, better, solver(problem, max_labels=2**10))
+    for solver, limits in ((ms.dynamic_program, {}), (ms.solve, PATIENCE)):
+        witnessed(problem, better, solver(problem, max_labels=2**10, **limits))
 
 
 @pytest.mark.parametrize(
@@ -687,14 +691,14 @@ def test_what_many_merges_and_truncations_lose_together_is_subtracted(n, delta, 
 def test_a_direction_too_weak_for_one_step_counts_over_all_of_them(n, delta, K, price):
     """Sees truncation at slack / sqrt(budget) a step, and merging by a slack a step."""
     problem, better = pulled(n, delta, K, price)
-    for solver in (ms.dynamic_program, ms.solve):
-        witnessed(problem, better, solver(problem))
+    for solver, limits in ((ms.dynamic_program, {}), (ms.solve, PATIENCE)):
+        witnessed(problem, better, solver(problem, **limits))
 
 
 @pytest.mark.parametrize("delta", [5e-12, 1e-10, 2.5e-9])
 def test_over_143_steps_nothing_is_called_optimal_beside_what_is_better(delta):
     problem, better = pulled(70, delta, 900.0)
-    witnessed(problem, better, ms.solve(problem, max_labels=2**10))
+    witnessed(problem, better, ms.solve(problem, max_labels=2**10, **PATIENCE))
 
 
 def exact_cost(problem, choices):

@@ -335,7 +335,8 @@ def test_what_is_learned_is_what_training_makes_of_the_first_stream_of_the_seed(
 
 
 def test_the_command_line_runs_it_all(tiny, tmp_path, capsys):
-    argv = ["--experiment", "trained", "--trials", "4", "--out", str(tmp_path / "out")]
+    small = ["--trials", "4", "--horizon", "30"]
+    argv = ["--experiment", "trained", *small, "--out", str(tmp_path / "out")]
     assert landing.main([*argv, "--json", str(tmp_path / "a.json")]) == 0
     first = capsys.readouterr().out
     assert "published" not in first  # the log is of another aircraft

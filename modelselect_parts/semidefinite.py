@@ -1,0 +1,48 @@
+"""Symmetric positive semidefinite matrices (..., k, k) up to rounding: judged, mended, factored.
+
+All are scaled to unit diagonal first, so that the units of the rows do not matter.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import numpy.typing as npt
+
+Array = npt.NDArray[np.float64]
+
+EPSILON = float(np.finfo(float).eps)
+MATRIX_TOLERANCE = 1e-12  # see "Tolerances" in modelselect.py
+
+
+def judged(matrices: Array) -> tuple[float, float]:
+    """Largest asymmetry and least eigenvalue of `matrices` scaled to unit diagonal."""
+    diagonal = np.diagonal(matrices, axis1=-2, axis2=-1)[..., None]
+    # Beside a zero on the diagonal, nothing but underflow may stand.
+    scale = np.sqrt(np.where(diagonal == 0, 1e-300, np.abs(diagonal)))
+    with np.errstate(over="ignore", invalid="ignore"):
+        scaled = matrices / scale / np.swapaxes(scale, -1, -2)
+        skew = np.abs(scaled - np.swapaxes(scaled, -1, -2)).max()
+    # Entries that overflow exceed their diagonal by far: the matrix is indefinite.
+    least = np.linalg.eigvalsh(scaled)[..., 0].min() if np.isfinite(scaled).all() else -math.inf
+    return float(skew), float(least)
+
+
+def mended(matrices: Array, skew: float, least: float) -> Array:
+    """Return `matrices` without their asymmetry, a negative eigenvalue lifted by the diagonal."""
+    k = matrices.shape[-1]
+    lift = -least if least < -k * EPSILON else 0.0
+    if skew > 0 or lift > 0:
+        matrices = (matrices + np.swapaxes(matrices, -1, -2)) / 2
+        matrices = matrices + lift * np.eye(k) * matrices
+    return matrices
+
+
+def semidefinite_root(matrices: Array) -> Array:
+    """F (..., k, k) with F F' = `matrices`, symmetric positive semidefinite, up to rounding."""
+    diagonal = np.diagonal(matrices, axis1=-2, axis2=-1)[..., None]
+    scale = np.sqrt(np.where(diagonal > 0, diagonal, 1))
+    values, V = np.linalg.eigh(matrices / scale / np.swapaxes(scale, -1, -2))
+    rounding = matrices.shape[-1] * EPSILON
+    return np.asarray(scale * V * np.sqrt(np.where(values > rounding, values, 0))[..., None, :])
