@@ -79,7 +79,6 @@ import numpy.typing as npt
 from modelselect_parts import label_search, trellis
 from modelselect_parts.blends import Blend, BlendProblem, sdp_blocks, solve_blend
 from modelselect_parts.checks import (
-    MATRIX_TOLERANCE,
     Array,
     Choices,
     Frozen,
@@ -93,7 +92,6 @@ from modelselect_parts.checks import (
     check_range,
     check_semidefinite,
     frozen,
-    semidefinite_root,
     shown,
 )
 from modelselect_parts.descent import (
@@ -118,6 +116,7 @@ from modelselect_parts.regulator import (
     riccati,
     run_controller,
 )
+from modelselect_parts.semidefinite import semidefinite_root
 
 __version__ = "0.2.0"
 
@@ -158,10 +157,10 @@ def from_one_hot(weights: npt.ArrayLike) -> Choices:
 class SelectionProblem(Frozen):
     """Which model to run at each step (``prob:model_selection_expectation``).
 
-    E[total](c) = alpha (mu_c' Psi mu_c + sum_t trace(Psi_tt Sigma[t, w_t]) + sum_t g_t'mu[t, w_t])
+    E[total](c) = alpha (mu_c'Psi mu_c + sum_t trace(Psi_tt Sigma[t,w_t]) + sum_t g_t'mu[t,w_t])
                 + beta (sum_t kappa[t, w_t] + sum_t sigma[w_{t-1}, w_t]),
-    the second sum the `perception_term`, without the constant alpha J(u*).  Errors must be independent across steps; zero variance
-    states known errors (``prob:model_selection``).  Where p = 1, `mean` and `variance` both
+    the second sum the `perception_term`, without the constant alpha J(u*).  Errors must be
+    independent across steps; zero variance states known errors (``prob:model_selection``).  Where p = 1, `mean` and `variance` both
     given transposed, (1, W, H), pose one step of H components: this cannot be caught.
     ``dataclasses.replace`` of a weight shares the arrays, and checks them no second time.
 
@@ -254,7 +253,8 @@ class SelectionProblem(Frozen):
             self._set(pull=check_array("pull", self.pull, "H p", (H, p)))
         if self.budget is not None:
             self._set(budget=check_number("budget", self.budget))
-            least = float(self.perception_term(trellis.cheapest_path(self._price, self.switch_cost)))
+            cheapest = trellis.cheapest_path(self._price, self.switch_cost)
+            least = float(self.perception_term(cheapest))
             if least > self._limit:
                 found = f"of at least {least!r}, which one schedule needs, found {self.budget!r}"
                 raise ValueError(f"budget: expected one {found}")
@@ -362,14 +362,17 @@ class SelectionProblem(Frozen):
         return self.mean[np.arange(c.shape[-1]), c].reshape(*c.shape[:-1], -1)
 
     def control_term(self, choices: npt.ArrayLike) -> Any:
-        """mu_c' Psi mu_c + sum_t trace(Psi_tt Sigma[t, w_t]) + sum_t g_t'mu[t, w_t]; (..., H)."""
+        """Return mu_c' Psi mu_c + sum_t trace(Psi_tt Sigma[t, w_t]) + sum_t g_t'mu[t, w_t].
+
+        Of `choices` (..., H), unweighted.
+        """
         table = self.spread
         if self.pull is not None:
             table = table + self._pulled(self.pull, self.mean)
         return self._total(self.psi, self.chosen_mean(choices), table, None, choices)
 
     def perception_term(self, choices: npt.ArrayLike) -> Any:
-        """sum_t kappa[t, w_t] + sum_t sigma[w_{t-1}, w_t] of `choices` (..., H) (``eq:jp``)."""
+        """Return sum_t kappa[t,w_t] + sum_t sigma[w_{t-1},w_t] (``eq:jp``), `choices` (..., H)."""
         return trellis.path_sum(self._price, self.switch_cost, self._check(choices))
 
     def total_cost(self, choices: npt.ArrayLike) -> Any:
@@ -453,7 +456,7 @@ class Schedule(Frozen):
 
     @property
     def proof(self) -> str:
-        """"root" if the certificate alone carries `lower_bound`, "search" if a search's word does."""
+        """What carries `lower_bound`: "root", the certificate, or "search", a search's word."""
         return "root" if self.lower_bound <= self.root_bound else "search"
 
     @property
@@ -465,7 +468,9 @@ class Schedule(Frozen):
 def reference_bound(
     problem: SelectionProblem, reference: npt.ArrayLike, multiplier: float = 0.0
 ) -> tuple[float, Array]:
-    """Bound every schedule from below, from d = `reference` (pH,) and lam: LB(d, lam), r (H, W).
+    """Bound every schedule from below: LB(d, lam) and r (H, W) of any `reference` d (pH,).
+
+    lam is the `multiplier` >= 0 of the budget.
 
     With G[t,w] = 2 mu[t,w]'(alpha Psi d)_t + l[t,w] + lam kappa[t,w] and arcs (beta + lam) sigma,
 
@@ -556,7 +561,7 @@ def _certified(
 
 
 def _at(problem: SelectionProblem, choices: Choices) -> Relaxation:
-    """The point of the relaxation that a schedule is itself."""
+    """Return the point of the relaxation that a schedule is itself."""
     cost = float(problem.total_cost(choices))
     b = one_hot(choices, problem.mean.shape[1])
     return Relaxation(b, problem.chosen_mean(choices), cost, -math.inf, 0)
@@ -742,7 +747,8 @@ def relax_by_columns(
 
     The mixtures' mean errors form a polytope; column generation (`trellis.columns`) finds its
     corners as it needs them, by the cheapest path at the prices (d, lam) of the last mixture.
-    Without switching costs and a budget this is `relax_interior_point`, slower.
+    Stops as `relax_interior_point` does, at the fraction `gap`, after `time_limit` seconds or
+    `max_iterations`; without switching costs and a budget it is that one, slower.
     """
     gap, time_left = check_number("gap", gap, minimum=0), _stopwatch(time_limit)
     most = check_count("max_iterations", max_iterations)
@@ -826,7 +832,7 @@ def _start(
 
 
 def _path_at(problem: SelectionProblem, point: Relaxation) -> Choices:
-    """The cheapest path at the prices of a point."""
+    """Return the cheapest path at the prices of a point."""
     form, lam = problem.form, point.multiplier
     return trellis.cheapest_path(trellis.slopes(form, point.reference, lam)[0], form.priced(lam))
 
@@ -886,7 +892,7 @@ def plain_dynamic_program(problem: SelectionProblem, *, max_labels: int = 2**18)
 
 
 def _point(schedule: Schedule) -> Relaxation:
-    """The certificate's point of a schedule."""
+    """Return the certificate's point of a schedule."""
     empty = np.zeros((0, 0))
     return Relaxation(empty, schedule.reference, math.inf, 0.0, 0, schedule.multiplier)
 

@@ -17,7 +17,6 @@ import numpy as np
 import numpy.typing as npt
 
 from modelselect_parts.semidefinite import EPSILON, MATRIX_TOLERANCE, judged, mended
-from modelselect_parts.semidefinite import semidefinite_root as semidefinite_root
 
 Array = npt.NDArray[np.float64]
 Choices = npt.NDArray[np.intp]

@@ -22,7 +22,8 @@ from time import perf_counter
 import numpy as np
 import scipy.linalg as la
 
-from modelselect_parts.checks import Array, Mask, semidefinite_root
+from modelselect_parts.checks import Array, Mask
+from modelselect_parts.semidefinite import semidefinite_root
 
 # An evaluation of f: weights -> value, lower bound, gradient G (infinite where not allowed).
 Evaluate = Callable[[Array], tuple[float, float, Array]]

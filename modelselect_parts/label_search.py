@@ -10,8 +10,8 @@ step to the first: with e = mu_c - d the quadratic is sum_t |U_tt e_t + y_t|^2, 
 y_t collects the steps already chosen (Fincke and Pohst 1985).  A *label* is a partial schedule: its
 excess so far, its offset on the rows still to come, its model where moves cost something, what it
 has spent where there is a limit.  It goes when its excess exceeds the budget, when it cannot keep
-the limit, or when a cheaper label near it *dominates* it (`undominated`).  What remains is a handful
-of labels, though in the worst case exponentially many: the problem is NP-hard.
+the limit, or when a cheaper label near it *dominates* it (`undominated`).  What remains is a few
+labels, though in the worst case exponentially many: the problem is NP-hard.
 
 Everything that rounding and shortcuts give away is added up (`Losses`) and taken off the bound,
 so what a search claims is a theorem (`search`).
@@ -26,8 +26,9 @@ from typing import NamedTuple
 import numpy as np
 import scipy.linalg as la
 
-from modelselect_parts.checks import MATRIX_TOLERANCE, Array, Choices, Mask
-from modelselect_parts.trellis import Certificate, Form, forward, through
+from modelselect_parts.checks import Array, Choices, Mask
+from modelselect_parts.semidefinite import MATRIX_TOLERANCE
+from modelselect_parts.trellis import Certificate, Form, forward
 
 EPS, TINY = float(np.finfo(float).eps), float(np.finfo(float).tiny)
 
@@ -69,7 +70,7 @@ def factor(form: Form, found: Certificate, d: Array, multiplier: float, excess: 
     subtracted there: the sum stays the same, and a singular M has a Cholesky factor.  That lowers
     the constant by a hundredth of the excess at most, plus what rounding needs.
     """
-    M, A, node, (H, W, p) = form.M, form.priced(multiplier), found.node, form.mean.shape
+    M, A, node, (H, _, p) = form.M, form.priced(multiplier), found.node, form.mean.shape
     useful = (found.reduced + (found.bound - found.base) <= max(excess, 0.0)) & (node < np.inf)
     slack = excess - (found.bound - found.base)
     while True:
@@ -99,7 +100,7 @@ def factor(form: Form, found: Certificate, d: Array, multiplier: float, excess: 
 
 
 def _moves(node: Array, A: Array) -> tuple[Array, float]:
-    """What the move from w at step t to v at t + 1 exceeds the cheapest path by: [t, v, w].
+    """Return what the move from w at t to v at t + 1 exceeds the cheapest path by: [t, v, w].
 
     F[t, w] + A[w, v] + node[t+1, v] - F[t+1, v]; at the end, F[H-1, w] less the cheapest path.
     """
@@ -114,7 +115,7 @@ def _moves(node: Array, A: Array) -> tuple[Array, float]:
 
 
 def purse(form: Form, multiplier: float) -> Purse:
-    """What moves spend, as `_moves` is laid out, and what the rest spends at least."""
+    """Return what moves spend, as `_moves` is laid out, and what the rest spends at least."""
     if form.price is None:
         return FREE
     price = np.where(form.linear < np.inf, form.price, np.inf)
@@ -126,7 +127,8 @@ def purse(form: Form, multiplier: float) -> Purse:
     ahead = forward(price, form.toll) - np.where(price < np.inf, price, 0)
     largest = np.abs(form.price).max(axis=1).sum()
     largest += 0.0 if form.toll is None else H * form.toll.max()
-    return Purse(multiplier, spend, ahead, form.limit, float(largest) + TINY, 4 * EPS * float(largest))
+    size = float(largest) + TINY
+    return Purse(multiplier, spend, ahead, form.limit, size, 4 * EPS * size)
 
 
 class Coordinates(NamedTuple):

@@ -33,7 +33,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy.linalg as la
 
-from modelselect_parts.checks import Array, Choices, Mask
+from modelselect_parts.checks import Array, Choices
 
 EPS: float = float(np.finfo(float).eps)
 
@@ -56,7 +56,7 @@ class Form(NamedTuple):
         return self.arc is None and self.price is None
 
     def priced(self, multiplier: float) -> Array | None:
-        """A = arc + lam toll, (W, W)."""
+        """Return A = arc + lam toll, (W, W)."""
         if self.arc is None or self.toll is None or not multiplier:
             return self.arc
         return self.arc + multiplier * self.toll
@@ -75,10 +75,10 @@ class Certificate(NamedTuple):
 
 
 def forward(node: Array, arc: Array | None) -> Array:
-    """F[t, w], the cheapest path that ends with model w at step t (Viterbi): O(H W^2)."""
+    """Return F[t, w], the cheapest path that ends with model w at step t (Viterbi): O(H W^2)."""
     if arc is None:
         before = np.cumsum(node.min(axis=1)) - node.min(axis=1)
-        return before[:, None] + node
+        return np.asarray(before[:, None] + node)
     F = node.copy()
     for t in range(1, len(node)):
         F[t] += (F[t - 1][:, None] + arc).min(axis=0)
@@ -86,15 +86,16 @@ def forward(node: Array, arc: Array | None) -> Array:
 
 
 def through(node: Array, arc: Array | None) -> Array:
-    """The cheapest path with model w at step t, (H, W)."""
+    """Return what the cheapest path with model w at step t costs, (H, W)."""
     if arc is None:
         lowest = node.min(axis=1)
-        return node + (lowest.sum() - lowest)[:, None]
-    return forward(node, arc) + forward(node[::-1], arc.T)[::-1] - np.where(node < np.inf, node, 0)
+        return np.asarray(node + (lowest.sum() - lowest)[:, None])
+    both = forward(node, arc) + forward(node[::-1], arc.T)[::-1]
+    return np.asarray(both - np.where(node < np.inf, node, 0))
 
 
 def cheapest_path(node: Array, arc: Array | None) -> Choices:
-    """A schedule of least sum of nodes and arcs, (H,)."""
+    """Return a schedule of least sum of nodes and arcs, (H,)."""
     if arc is None:
         return np.asarray(node.argmin(axis=1))
     F, c = forward(node, arc), np.empty(len(node), dtype=np.intp)
@@ -105,7 +106,7 @@ def cheapest_path(node: Array, arc: Array | None) -> Choices:
 
 
 def path_sum(node: Array, arc: Array | None, c: Choices) -> Any:
-    """Sum of nodes and arcs of the schedules c (..., H)."""
+    """Return the sum of nodes and arcs of schedules c (..., H)."""
     total = node[np.arange(len(node)), c].sum(axis=-1)
     return total if arc is None else total + arc[c[..., :-1], c[..., 1:]].sum(axis=-1)
 
@@ -216,18 +217,19 @@ def columns(
     """
     M, mean, usable, (H, W, _) = form.M, form.mean, form.linear < np.inf, form.mean.shape
     steps, limited = np.arange(H), form.price is not None
-    spend = np.where(usable, form.price if form.price is not None else form.linear, np.inf)
-    least = cheapest_path(spend, form.toll if limited else form.arc)
-    if form.price is not None and path_sum(form.price, form.toll, least) > form.limit:
+    price, toll = np.zeros((H, W)) if form.price is None else form.price, form.toll
+    spend, arc = (np.where(usable, price, np.inf), toll) if limited else (form.linear, form.arc)
+    least = cheapest_path(spend, arc)
+    if path_sum(price, toll, least) > form.limit:
         return None
     kept, best, value, k = least[None], None, math.inf, 0
     if schedules is not None:
         kept = np.vstack([kept, schedules[usable[steps, schedules].all(axis=1)]])
-    bound, prices = -math.inf, (form.price if limited else np.zeros((H, W)), form.toll)
+    bound = -math.inf
     for k in range(1, max_iterations + 1):
         mu = mean[steps, kept].reshape(len(kept), -1)
         cost = path_sum(form.linear, form.arc, kept)
-        x, lam = master(mu @ M @ mu.T, cost, path_sum(*prices, kept), form.limit)
+        x, lam = master(mu @ M @ mu.T, cost, path_sum(price, toll, kept), form.limit)
         d, b = x @ mu, np.zeros((H, W))
         np.add.at(b, (steps, kept), x[:, None])
         value = min(value, float(d @ M @ d + cost @ x))
@@ -266,18 +268,9 @@ def master(G: Array, cost: Array, spent: Array, limit: float) -> tuple[Array, fl
         if tau < 1e-15:
             break
         try:
-            system = la.cho_factor(P + np.diag(z / v))
-            back = la.cho_solve(system, E.T)
-            small = la.cho_factor(E @ back)
+            direction = _newton(P, E, dual, primal, v, z)
         except la.LinAlgError:
             break
-
-        def direction(r: Array) -> tuple[Array, Array, Array]:
-            a = la.cho_solve(system, dual + r / v)
-            dy = la.cho_solve(small, primal - E @ a)
-            dv = a + back @ dy
-            return dv, dy, (r - z * dv) / v
-
         dv, dy, dz = direction(-v * z)
         step = _inside(v, dv, z, dz)
         left = float((v + step * dv) @ (z + step * dz)) / len(v)
@@ -288,8 +281,25 @@ def master(G: Array, cost: Array, spent: Array, limit: float) -> tuple[Array, fl
     return x / x.sum(), max(0.0, -float(y[1]) * scale / unit) if limited else 0.0
 
 
+def _newton(
+    P: Array, E: Array, dual: Array, primal: Array, v: Array, z: Array
+) -> Callable[[Array], tuple[Array, Array, Array]]:
+    """Return r -> dv, dy, dz with P dv - E'dy - dz = dual, E dv = primal, z dv + v dz = r."""
+    system = la.cho_factor(P + np.diag(z / v))
+    back = la.cho_solve(system, E.T)
+    small = la.cho_factor(E @ back)
+
+    def direction(r: Array) -> tuple[Array, Array, Array]:
+        a = la.cho_solve(system, dual + r / v)
+        dy = la.cho_solve(small, primal - E @ a)
+        dv = a + back @ dy
+        return dv, dy, (r - z * dv) / v
+
+    return direction
+
+
 def _inside(v: Array, dv: Array, z: Array, dz: Array) -> float:
-    """The longest step up to 1 that keeps v and z positive."""
+    """Return the longest step up to 1 that keeps v and z positive."""
     return min(1.0, 1 / max(float((-dv / v).max()), float((-dz / z).max()), 1e-300))
 
 
@@ -297,7 +307,7 @@ def _inside(v: Array, dv: Array, z: Array, dz: Array) -> float:
 
 
 def moved(node: Array, arc: Array | None, c: Choices) -> Array:
-    """What changing w_t to w changes in the sum of nodes and arcs, (H, W)."""
+    """Return what changing w_t to w changes in the sum of nodes and arcs, (H, W)."""
     change = node - node[np.arange(len(node)), c][:, None]
     if arc is not None:
         now = arc[c[:-1], c[1:]][:, None]

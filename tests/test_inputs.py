@@ -282,6 +282,7 @@ R = np.array([[2.0, 1], [1, 2]])
 FACTOR = numbered(P * H, P * H)
 PSI = FACTOR @ FACTOR.T + np.eye(P * H)  # whole numbers below 2^24
 MEAN, VARIANCE, PRICE = numbered(H, W, P), numbered(H, W, P) ** 2, np.array([0.0, 20, 40])
+SWITCH = np.array([[0.0, 1, 2], [3, 0, 4], [5, 6, 0]])
 
 
 @cache
@@ -475,7 +476,15 @@ ROWS: dict[str, tuple[Callable[..., Any], dict[str, Arg]]] = {
             "model_cost": real(PRICE, "inf"),
             "alpha": number(1),
             "beta": number(2),
+            "switch_cost": weight(SWITCH),
+            "initial_model": count(2, "none zero", blames="initial_model"),
+            "budget": number(90.0, "none"),
+            "pull": real(numbered(H, P)),
         },
+    ),
+    "SelectionProblem.is_feasible": (
+        lambda choices: problem().is_feasible(choices),
+        {"choices": STEPS},
     ),
     "SelectionProblem.chosen_mean": (
         lambda choices: problem().chosen_mean(choices),
@@ -503,7 +512,7 @@ ROWS: dict[str, tuple[Callable[..., Any], dict[str, Arg]]] = {
     ),
     "reference_bound": (
         ms.reference_bound,
-        {"problem": PROBLEM, "reference": real(numbered(P * H))},
+        {"problem": PROBLEM, "reference": real(numbered(P * H)), "multiplier": number(0.0)},
     ),
     "check_certificate": (ms.check_certificate, {"problem": PROBLEM, "schedule": record(schedule)}),
     # ---- modelselect: solvers
@@ -543,6 +552,10 @@ ROWS: dict[str, tuple[Callable[..., Any], dict[str, Arg]]] = {
             "time_limit": LIMIT,
             "max_iterations": count(20, "huge"),
         },
+    ),
+    "relax_by_columns": (
+        ms.relax_by_columns,
+        {"problem": PROBLEM, "gap": GAP, "time_limit": LIMIT, "max_iterations": count(20, "huge")},
     ),
     "round_and_swap": (
         ms.round_and_swap,

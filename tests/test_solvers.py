@@ -15,7 +15,7 @@ from scipy.optimize import lsq_linear
 
 import modelselect as ms
 from modelselect import SelectionProblem
-from modelselect_parts import label_search
+from modelselect_parts import label_search, trellis
 from perception import published_suite, textbook_suite
 
 from strategies import SEEDS, every_schedule, problems
@@ -216,11 +216,9 @@ def test_no_single_swap_improves_what_round_and_swap_returns(problem):
 
 
 def factored(problem, d):
-    """LB(d), and the excess over it as a sum over steps."""
-    root, reduced = ms.reference_bound(problem, d)
-    H, _, p = problem.mean.shape
-    e = problem.mean - d.reshape(H, 1, p)
-    return root, label_search.factor(problem.quadratic, e, reduced, np.inf)
+    """What the bound of d is made from, and the excess over it as a sum over steps."""
+    found = trellis.certificate(problem.form, d)
+    return found.base, label_search.factor(problem.form, found, d, 0.0, np.inf)
 
 
 @given(problems(max_horizon=4, max_models=3), SEEDS)
@@ -228,8 +226,7 @@ def test_triangle_restates_the_cost_exactly(problem, seed):
     # For any reference, though a shifted Psi was factored.
     d = np.random.default_rng(seed).normal(size=len(problem.psi))
     root, triangle = factored(problem, d)
-    bound, reduced, e, U, _ = triangle
-    bound += root
+    bound, reduced, e, U = root + triangle.constant, triangle.moves[:, 0], *triangle[2:4]
     assert (reduced >= 0).all()
     H = len(reduced)
     scale = rounding(problem) + 1e-10 * float(np.abs(d) @ np.abs(problem.quadratic) @ np.abs(d))
