@@ -66,6 +66,7 @@ from __future__ import annotations
 
 import heapq
 import math
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, field, replace
 from fractions import Fraction
@@ -160,8 +161,9 @@ class SelectionProblem(Frozen):
     E[total](c) = alpha (mu_c'Psi mu_c + sum_t trace(Psi_tt Sigma[t,w_t]) + sum_t g_t'mu[t,w_t])
                 + beta (sum_t kappa[t, w_t] + sum_t sigma[w_{t-1}, w_t]),
     the second sum the `perception_term`, without the constant alpha J(u*).  Errors must be
-    independent across steps; zero variance states known errors (``prob:model_selection``).  Where p = 1, `mean` and `variance` both
-    given transposed, (1, W, H), pose one step of H components: this cannot be caught.
+    independent across steps; zero variance states known errors (``prob:model_selection``).  Where
+    p = 1, `mean` and `variance` both given transposed, (1, W, H), pose one step of H components:
+    this cannot be caught.
     ``dataclasses.replace`` of a weight shares the arrays, and checks them no second time.
 
     Parameters
@@ -321,8 +323,13 @@ class SelectionProblem(Frozen):
 
     @cached_property
     def _limit(self) -> float:
-        """The budget, and 1e-12 of the most that could be spent: sums in another order differ."""
-        return math.inf if self.budget is None else self.budget + 1e-12 * self._most_spent
+        """The most that a feasible schedule may spend."""
+        return math.inf if self.budget is None else self.budget + self._limit_slack
+
+    @property
+    def _limit_slack(self) -> float:
+        """1e-12 of the most that could be spent: sums in another order differ by less."""
+        return 1e-12 * self._most_spent
 
     @cached_property
     def form(self) -> trellis.Form:
@@ -687,8 +694,8 @@ def relax(
     step = step_lengths(M, np.repeat(size, p))[::p, None]
 
     def project(b: Array) -> Array:  # more than 1 below the largest entry: no weight
-        shunned = np.where(allowed, b, np.inf).min(axis=1, keepdims=True) - 2
-        return project_to_simplex(np.where(allowed, b, shunned))
+        below = b - np.where(allowed, b, -np.inf).max(axis=1, keepdims=True)
+        return project_to_simplex(np.where(allowed, np.maximum(below, -2), -2))
 
     def evaluate(b: Array) -> tuple[float, float, Array]:
         value, bound, G = trellis.relaxed(problem.form, b)
@@ -1135,6 +1142,53 @@ def solve(
     best = min(decoded, searched, key=lambda schedule: schedule.cost)
     bound = max(decoded.lower_bound, searched.lower_bound)
     return replace(best, lower_bound=min(best.cost, bound))
+
+
+# ------------------------------------------------------------------- the whole Pareto front
+
+
+def pareto_front(
+    problem: SelectionProblem, *, resolution: float = 0.0, time_limit: float | None = None
+) -> list[Schedule]:
+    """Return the schedules that no other beats in both control and perception term, dearest first.
+
+    Each is the optimum of the problem at alpha = 1, beta = 0 under a budget just below what the one
+    before spends, or `resolution` below, so its `cost` is its `control_term`, and its proof is one
+    that `check_certificate` judges.  Weights alpha and beta reach the corners of the front's convex
+    hull only; budgets reach every point.  The problem's own `budget` is where the front begins.
+
+    Points of equal control up to OPTIMALITY_GAP count as one.  With real-valued prices there can be
+    tens of thousands: then state a resolution.  Where `time_limit` seconds end first, or rounding
+    leaves a gap, the proved points are returned, with a warning that says where they end.
+    """
+    resolution, time_left = (
+        check_number("resolution", resolution, minimum=0),
+        _stopwatch(time_limit),
+    )
+    prices = problem._price[np.isfinite(problem._price)]
+    if problem.switch_cost is not None:
+        prices = np.append(prices, problem.switch_cost)
+    whole = bool((prices == np.floor(prices)).all() and np.abs(prices).max() < 2**53)
+    step = max(resolution, 1.0 if whole else 4e-12 * problem._most_spent)
+    least = float(
+        problem.perception_term(trellis.cheapest_path(problem._price, problem.switch_cost))
+    )
+    front: list[Schedule] = []
+    now = replace(problem, alpha=1.0, beta=0.0)
+    while True:
+        limit = None if time_limit is None else max(0.0, time_left())
+        found = solve(now, time_limit=limit)
+        if not found.is_optimal:
+            budget = math.inf if now.budget is None else now.budget
+            warnings.warn(f"pareto_front: not proved from perception {budget:g} down", stacklevel=2)
+            return front
+        if front and closes(OPTIMALITY_GAP, 0.0)(found.cost, front[-1].cost):
+            front.pop()  # as good for control, and spends less
+        front.append(found)
+        spent = float(problem.perception_term(found.choices))
+        if spent - step < least - problem._limit_slack:
+            return front
+        now = replace(now, budget=max(spent - step, least))
 
 
 # ---------------------------------------------------------- what biased and noisy models cost

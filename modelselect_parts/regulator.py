@@ -46,6 +46,8 @@ from modelselect_parts.checks import (
 )
 from modelselect_parts.semidefinite import MATRIX_TOLERANCE, semidefinite_root
 
+PSI_TOLERANCE = 3e-10  # of sqrt(Psi_ii Psi_jj), between two ways of rounding; 1e-9 is promised
+
 # ------------------------------------------------------------------------------------ the task
 
 
@@ -394,13 +396,37 @@ def psi(task: ControlTask, information: str = "open_loop") -> Array:
            [0. , 0.5]])
     """
     check_information(information)
+    Psi = _squared_regret(task, information)
+    if not np.isfinite(Psi).all():
+        raise ValueError("task: Psi overflows; rescale the costs or C, or shorten the horizon")
+    # Where errors have next to no effect, sums cancel to what rounding leaves: that is no loss.
+    _, _, C, Q, _ = task.over_time()
+    alone = np.einsum("tij,tii->tj", C**2, np.maximum(Q[:-1], Q[1:])).max()
+    size = np.sqrt(np.maximum(Psi.diagonal(), 1e-10 * max(Psi.diagonal().max(), alone)))
+    lost = np.abs(Psi - _squared_regret(_in_other_units(task), information))
+    if (lost > PSI_TOLERANCE * size[:, None] * size + np.finfo(float).tiny).any():
+        raise ValueError(
+            "task: Psi loses its digits: it changes with the units of the states, as a growing "
+            "mode is beyond the control's or the cost's reach; remove it, or shorten the horizon"
+        )
+    return Psi
+
+
+def _squared_regret(task: ControlTask, information: str) -> Array:
     H, p = task.horizon, task.p
     Y = _regret_rows(task, information, np.eye(H * p).reshape(H, p, H * p)).reshape(-1, H * p)
     with np.errstate(over="ignore", invalid="ignore"):
-        Psi = Y.T @ Y
-    if not np.isfinite(Psi).all():
-        raise ValueError("task: Psi overflows; rescale the costs or C, or shorten the horizon")
-    return np.asarray(Psi)
+        return np.asarray(Y.T @ Y)
+
+
+def _in_other_units(task: ControlTask) -> ControlTask:
+    """Return the task with states x' = D x, D diagonal: the same Psi, but for rounding."""
+    D = 1 + np.arange(task.n) / 7
+    A, B, C, Q, R = task.over_time()
+    last, Q = Q[-1] / np.outer(D, D), Q[:-1] / np.outer(D, D)
+    return ControlTask(
+        A * D[:, None] / D, B * D[:, None], C * D[:, None], Q, R, task.horizon, Q_final=last
+    )
 
 
 def preview_regret(task: ControlTask, errors: npt.ArrayLike) -> Any:

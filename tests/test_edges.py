@@ -436,3 +436,20 @@ def test_what_overflows_on_the_way_is_refused():
     ):
         with pytest.raises(ValueError, match=f"^{name}: .*overflow"):
             call()
+
+
+@pytest.mark.parametrize("information", ["causal", "preview", "measurement"])
+@pytest.mark.parametrize(("horizon", "growth"), [(20, 2.0), (40, 2.0), (60, 1.2), (60, 1.5)])
+def test_a_growing_mode_out_of_the_controls_reach_is_refused(information, horizon, growth):
+    # T diag(growth, 0.5) T^{-1}, and B along the second mode: right to 2e-6 or less was nothing.
+    T = np.array([[2.0, 1], [1, 1]])
+    A = T @ np.diag([growth, 0.5]) @ np.linalg.inv(T)
+    task = ms.ControlTask(A, T[:, 1:], [[1], [0]], np.eye(2), [[1]], horizon)
+    with pytest.raises(ValueError, match=r"^task: Psi loses its digits"):
+        ms.psi(task, information)
+
+
+def test_a_growing_mode_that_the_cost_does_not_see_is_refused():
+    A, B, C, Q = [[3, -2], [1, 0]], [[1], [1]], [[1], [0]], [[1, -2], [-2, 4]]
+    with pytest.raises(ValueError, match=r"^task: Psi loses its digits"):
+        ms.psi(ms.ControlTask(A, B, C, Q, [[1]], 60))  # 47114.6 came out for 59.382

@@ -476,10 +476,10 @@ ROWS: dict[str, tuple[Callable[..., Any], dict[str, Arg]]] = {
             "model_cost": real(PRICE, "inf"),
             "alpha": number(1),
             "beta": number(2),
-            "switch_cost": weight(SWITCH),
+            "switch_cost": weight(SWITCH, "none"),
             "initial_model": count(2, "none zero", blames="initial_model"),
             "budget": number(90.0, "none"),
-            "pull": real(numbered(H, P)),
+            "pull": real(numbered(H, P), "none"),
         },
     ),
     "SelectionProblem.is_feasible": (
@@ -588,6 +588,10 @@ ROWS: dict[str, tuple[Callable[..., Any], dict[str, Arg]]] = {
     "solve": (
         ms.solve,
         {"problem": PROBLEM, "time_limit": LIMIT, "gap": GAP, "max_labels": count(100, "huge")},
+    ),
+    "pareto_front": (
+        ms.pareto_front,
+        {"problem": PROBLEM, "resolution": number(30.0), "time_limit": LIMIT},
     ),
     "error_cost": (ms.error_cost, {"problem": PROBLEM}),
     "correlated_cost": (

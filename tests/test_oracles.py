@@ -54,6 +54,11 @@ Relaxation.gap | test_the_gap_of_a_relaxation_is_zero_where_value_and_bound_meet
 project_to_simplex | test_projection_is_the_nearest_point_of_the_simplex | angles to all vertices (variational inequality)
 projected_gradient | test_projected_gradient_meets_bounded_least_squares | SciPy's bounded least squares
 relax relax_interior_point | test_relaxations_agree_with_a_general_convex_solver | cvxpy with Clarabel
+tests/test_constrained.py
+relax_by_columns | test_column_generation_meets_newtons_method_where_both_apply | the interior point
+pareto_front | test_the_front_is_that_of_all_schedules | the front of all schedules
+Schedule.proof | test_a_lower_bound_by_word_alone_says_so | a bound put in by hand
+SelectionProblem.form SelectionProblem.is_feasible | test_terms_are_the_sums_that_the_definition_writes | plain sums over steps
 tests/test_theory.py
 error_cost | test_the_error_cost_splits_the_control_term_of_running_one_model | plain loops over second moments
 correlated_cost | test_correlated_cost_is_the_exact_average_over_correlated_draws | average over all correlated draws

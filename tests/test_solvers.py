@@ -706,3 +706,12 @@ def test_solve_returns_what_it_has_where_decoding_used_up_the_time(monkeypatch):
 def test_integers_whose_costs_would_not_be_exact_are_refused():
     with pytest.raises(ValueError, match=r"^integers: expected a sum of at most 1e7, found"):
         ms.partition_problem([10**7, 1])
+
+
+def test_projected_gradient_keeps_off_models_that_are_not_available_however_long_its_steps():
+    near = [[[1], [1 + 1e-9]], [[1], [-1]]]  # a row whose models hardly differ takes huge steps
+    problem = SelectionProblem([[2, 1], [1, 2]], near, np.zeros((2, 2, 1)), [[0, np.inf], [0, 1]])
+    point = ms.relax(problem)
+    assert point.weights[0].tolist() == [1, 0]
+    assert point.value == pytest.approx(2.21875, rel=1e-6)
+    assert ms.round_and_swap(problem, point).cost == 3

@@ -1,0 +1,264 @@
+"""Switching costs, a budget, a first model and a pull: against every schedule, and each other."""
+
+import itertools
+import warnings
+from dataclasses import replace
+from fractions import Fraction
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import modelselect as ms
+from modelselect import SelectionProblem
+
+SEEDS = st.integers(0, 2**32 - 1)
+EXACT = (ms.enumerate_schedules, ms.plain_dynamic_program, ms.dynamic_program, ms.solve)
+
+
+def schedules_of(problem):
+    H, W, _ = problem.mean.shape
+    return np.array(list(itertools.product(range(W), repeat=H)))
+
+
+def a_problem(seed, *, budget=True):
+    """A tiny problem with a mixture of all features; prices may be whole, real or missing."""
+    rng = np.random.default_rng(seed)
+    H, W, p = (int(rng.integers(1, most)) for most in (5, 4, 4))
+    F = rng.normal(size=(p * H, int(rng.integers(1, p * H + 1))))
+    if rng.random() < 0.3:
+        F = np.round(2 * F)
+    mean = rng.normal(size=(H, W, p)) if rng.random() < 0.6 else rng.integers(-2, 3, (H, W, p))
+    price = rng.integers(0, 4, (H, W)) * 1.0 if rng.random() < 0.5 else rng.uniform(0, 3, (H, W))
+    if rng.random() < 0.3:
+        missing = rng.random((H, W)) < 0.3
+        missing[np.arange(H), rng.integers(0, W, H)] = False
+        price[missing] = np.inf
+    switch = rng.integers(0, 3, (W, W)) * 1.0 if rng.random() < 0.5 else rng.uniform(0, 2, (W, W))
+    np.fill_diagonal(switch, 0)
+    problem = SelectionProblem(
+        F @ F.T,
+        mean,
+        rng.uniform(0, 1, (H, W, p)) * (rng.random() < 0.5),
+        price,
+        float(rng.choice([0.5, 1, 2])),
+        float(rng.choice([0, 0.5, 3])),
+        switch_cost=switch if rng.random() < 0.7 else None,
+        initial_model=int(rng.integers(W)) if rng.random() < 0.5 else None,
+        pull=rng.normal(size=(H, p)) if rng.random() < 0.4 else None,
+    )
+    if budget and rng.random() < 0.75:
+        spent = problem.perception_term(schedules_of(problem))
+        spent = np.unique(spent[np.isfinite(spent)])
+        problem = replace(problem, budget=float(rng.choice(spent)))  # exactly met by one
+    return problem
+
+
+def plainly(problem, c):
+    """Control and perception term of a schedule, as the paper would write the sums."""
+    mu = np.concatenate([problem.mean[t, w] for t, w in enumerate(c)])
+    control, p = mu @ problem.psi @ mu, problem.mean.shape[2]
+    for t, w in enumerate(c):
+        block = problem.psi[t * p : (t + 1) * p, t * p : (t + 1) * p]
+        control += np.trace(block @ np.diag(problem.variance[t, w]))
+        control += 0 if problem.pull is None else problem.pull[t] @ problem.mean[t, w]
+    paid = sum(problem.model_cost[t, w] for t, w in enumerate(c))
+    before = problem.initial_model
+    for w in c if problem.switch_cost is not None else ():
+        paid += 0 if before is None else problem.switch_cost[before, w]
+        before = w
+    return control, paid
+
+
+@given(SEEDS)
+def test_terms_are_the_sums_that_the_definition_writes(seed):
+    problem = a_problem(seed, budget=False)
+    for c in schedules_of(problem):
+        control, paid = plainly(problem, c)
+        assert problem.control_term(c) == pytest.approx(control, rel=1e-12, abs=1e-12)
+        assert problem.perception_term(c) == pytest.approx(paid, rel=1e-12, abs=1e-12)
+        assert problem.is_feasible(c) == np.isfinite(paid)
+        if np.isfinite(paid):
+            total = problem.alpha * control + problem.beta * paid
+            assert problem.total_cost(c) == pytest.approx(total, rel=1e-12, abs=1e-11)
+            assert float(problem.exact_cost(c)) == pytest.approx(total, rel=1e-12, abs=1e-11)
+
+
+@given(SEEDS)
+def test_the_certificate_holds_for_every_schedule_point_and_multiplier(seed):
+    problem = a_problem(seed)
+    rng = np.random.default_rng(seed)
+    d, multiplier = rng.normal(size=len(problem.psi)), float(rng.choice([0, 0.5, 10]))
+    multiplier *= problem.budget is not None
+    bound, reduced = ms.reference_bound(problem, d, multiplier)
+    for c in schedules_of(problem):
+        if problem.is_feasible(c):
+            e = problem.chosen_mean(c) - d
+            rest = max(reduced[t, w] for t, w in enumerate(c)) + e @ problem.quadratic @ e
+            assert bound + rest <= problem.total_cost(c) + 1e-9
+    assert reduced.min() >= 0
+
+
+@given(SEEDS)
+def test_every_solver_finds_and_proves_the_cheapest_feasible_schedule(seed):
+    problem = a_problem(seed)
+    legal = [c for c in schedules_of(problem) if problem.is_feasible(c)]
+    least = min(problem.exact_cost(c) for c in legal)
+    rounding = Fraction(problem.rounding) + abs(least) / 10**9
+    for solver in (*EXACT, ms.branch_and_bound, ms.round_and_swap):
+        schedule = solver(problem)
+        assert problem.is_feasible(schedule.choices)
+        assert Fraction(schedule.lower_bound) <= least + Fraction(problem.rounding)
+        if solver is not ms.round_and_swap:
+            assert problem.exact_cost(schedule.choices) <= least + rounding, solver.__name__
+            assert schedule.cost - schedule.lower_bound <= 4 * float(rounding) + 1e-9 * abs(
+                schedule.cost
+            )
+        ms.check_certificate(problem, schedule)
+
+
+@given(SEEDS)
+def test_the_front_is_that_of_all_schedules(seed):
+    problem = a_problem(seed, budget=False)
+    everything = schedules_of(problem)
+    everything = everything[problem.is_feasible(everything)]
+    control, spent = problem.control_term(everything), problem.perception_term(everything)
+    tiny = 1e-8 * (1 + np.abs(control).max())
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        front = ms.pareto_front(problem)
+    found = [(problem.control_term(s.choices), problem.perception_term(s.choices)) for s in front]
+    assert all(a[0] < b[0] and a[1] > b[1] for a, b in itertools.pairwise(found))
+    for j, k in found:
+        assert not ((control < j - tiny) & (spent <= k + 1e-9)).any()
+    for j, k in zip(control, spent, strict=True):
+        assert any(a <= j + tiny and b <= k + 1e-9 for a, b in found)
+
+
+def test_a_coarser_front_keeps_its_distance():
+    rng, H = np.random.default_rng(0), 6
+    mean, Psi = np.array([2.0, 1, 0])[:, None] + rng.random((H, 3, 1)), np.ones((H, H)) + np.eye(H)
+    problem = SelectionProblem(Psi, mean, 0 * mean, [0.1, 0.25, 0.7])
+    spent = [problem.perception_term(s.choices) for s in ms.pareto_front(problem, resolution=1.0)]
+    assert 2 < len(spent) < len(ms.pareto_front(problem))
+    assert (-np.diff(spent) >= 1 - 1e-9).all()
+
+
+def test_a_front_without_time_says_where_it_ends():
+    problem = SelectionProblem(
+        np.ones((30, 30)) + np.eye(30),
+        np.random.default_rng(0).normal(size=(30, 3, 1)),
+        np.zeros((30, 3, 1)),
+        [0.1, 0.21, 0.37],
+    )
+    with pytest.warns(UserWarning, match="not proved from perception inf down"):
+        assert ms.pareto_front(problem, time_limit=0) == []
+
+
+@given(SEEDS)
+def test_a_switching_cost_of_zero_is_none(seed):
+    problem = replace(a_problem(seed), switch_cost=None, budget=None, initial_model=None)
+    W = problem.mean.shape[1]
+    free = ms.solve(replace(problem, switch_cost=np.zeros((W, W)), initial_model=0))
+    plain = ms.solve(problem)
+    assert (free.choices == plain.choices).all()
+    assert (free.cost, free.lower_bound) == (plain.cost, plain.lower_bound)
+
+
+@given(SEEDS)
+def test_prohibitive_switching_leaves_the_best_constant(seed):
+    problem = replace(a_problem(seed), budget=None, initial_model=None, beta=1.0)
+    H, W, _ = problem.mean.shape
+    problem = replace(problem, switch_cost=1e6 * (1 - np.eye(W)))
+    constant = np.repeat(np.arange(W)[:, None], H, axis=1)
+    costs = problem.total_cost(constant)
+    if np.isfinite(costs).any():
+        found = ms.solve(problem)
+        assert found.cost == pytest.approx(np.min(costs), rel=1e-9, abs=1e-9)
+
+
+@given(SEEDS)
+def test_more_budget_never_costs_more_and_the_multiplier_brackets_what_it_is_worth(seed):
+    problem = a_problem(seed)
+    if problem.budget is None:
+        return
+    more = replace(problem, budget=problem.budget + 0.5)
+    tight, loose = ms.solve(problem), ms.solve(more)
+    assert loose.cost <= tight.cost + 1e-9 * (1 + abs(tight.cost))
+    # LB(d, lam) falls by lam per unit, so the bound at one budget bounds the other's relaxation.
+    a, b = ms.relax_by_columns(problem), ms.relax_by_columns(more)
+    saved, tiny = a.value - b.value, 1e-6 * (1 + abs(a.value))
+    assert 0.5 * b.multiplier - tiny <= saved <= 0.5 * a.multiplier + tiny
+
+
+@given(SEEDS)
+def test_models_may_be_permuted_split_and_priced_alike(seed):
+    problem = a_problem(seed)
+    H, W, _ = problem.mean.shape
+    cost, tiny = ms.solve(problem).cost, 1e-8
+    order = np.random.default_rng(seed).permutation(W)
+
+    def picked(order):
+        switch, first = problem.switch_cost, problem.initial_model
+        return replace(
+            problem,
+            mean=problem.mean[:, order],
+            variance=problem.variance[:, order],
+            model_cost=problem.model_cost[:, order],
+            switch_cost=None if switch is None else switch[np.ix_(order, order)],
+            initial_model=None if first is None else int(np.flatnonzero(order == first)[0]),
+        )
+
+    for other in (picked(order), picked(np.append(np.arange(W), W - 1))):
+        assert ms.solve(other).cost == pytest.approx(cost, rel=1e-9, abs=tiny)
+    dearer = replace(problem, model_cost=problem.model_cost + 1, budget=None)
+    if problem.budget is not None:
+        dearer = replace(dearer, budget=problem.budget + H)
+    expected = cost + problem.beta * H
+    assert ms.solve(dearer).cost == pytest.approx(expected, rel=1e-9, abs=tiny)
+
+
+def test_what_switching_and_a_budget_change_in_three_lines():
+    mean = [[[1.0], [0.0]]] * 4
+    problem = SelectionProblem(np.eye(4), mean, np.zeros((4, 2, 1)), [0, 0.5])
+    assert ms.solve(problem).choices.tolist() == [1, 1, 1, 1]
+    limited = ms.solve(replace(problem, budget=1.0))
+    assert problem.perception_term(limited.choices) == 1.0
+    assert limited.multiplier == pytest.approx(1)  # a unit corrects two errors of 1, and costs 1
+    assert limited.is_optimal
+    loaded = replace(problem, switch_cost=[[0, 3], [3, 0]], initial_model=0)
+    assert ms.solve(loaded).choices.tolist() == [0, 0, 0, 0]
+
+
+def test_a_budget_that_nothing_keeps_is_told_what_would_do():
+    mean = np.zeros((3, 2, 1))
+    with pytest.raises(ValueError, match=r"^budget: .* at least 7\.5, .*found 7"):
+        SelectionProblem(np.eye(3), mean, mean, [2.5, 4], switch_cost=[[0, 1], [1, 0]], budget=7.0)
+
+
+def test_a_lower_bound_by_word_alone_says_so():
+    problem = a_problem(3)
+    quick = ms.round_and_swap(problem)
+    claimed = replace(quick, lower_bound=quick.cost)
+    ms.check_certificate(problem, claimed)
+    assert quick.root_bound < quick.cost
+    assert claimed.is_optimal
+    assert claimed.proof == "search"
+    assert quick.proof == "root"
+
+
+@pytest.mark.parametrize("relax", [ms.relax, ms.relax_interior_point])
+def test_relaxations_over_single_models_refuse_arcs_and_budgets(relax):
+    problem = SelectionProblem(np.eye(2), [[[1], [0]]] * 2, np.zeros((2, 2, 1)), [0, 1], budget=1)
+    with pytest.raises(ValueError, match="relax_by_columns"):
+        relax(problem)
+
+
+@given(SEEDS)
+def test_column_generation_meets_newtons_method_where_both_apply(seed):
+    problem = replace(a_problem(seed), switch_cost=None, budget=None)
+    columns, newton = ms.relax_by_columns(problem), ms.relax_interior_point(problem)
+    tiny = 1e-6 * max(abs(newton.value), 1e-3) + 10 * problem.rounding
+    assert abs(columns.value - newton.value) <= tiny
+    assert columns.bound <= newton.value + tiny
