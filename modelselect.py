@@ -8,7 +8,8 @@ controller e' Psi e more than true ones, so the best schedule in expectation min
 
     alpha * (mu_c' Psi mu_c + sum_t trace(Psi_tt Sigma_{t,w_t}))  +  beta * sum_t kappa_{w_t},
 
-quadratic in the mean errors, linear in the variances: an integer quadratic programme.  Section
+quadratic in the mean errors, linear in the variances: an integer quadratic programme.  Beyond the
+paper, switching models may cost something, and what is spent may be limited.  Section
 II, the task and Psi, is modelselect_parts/regulator.py; here are the problem, its certificate and
 its solvers, the plain form of each first.  A solver is a function from a problem to a `Schedule`.
 
@@ -34,6 +35,10 @@ alpha, beta         alpha, beta     floats >= 0          -           ``eq:jtot``
 linear, l           -               (H, W)               cost        ``opt:model_selection_
                                                                      expectation_sol``
 reference, d        -               (pH,)                perception  (ours: the certificate)
+multiplier, lam     -               float >= 0           cost/spent  (ours: the certificate)
+switch_cost, sigma  -               (W, W)               cost        (ours: switching costs)
+budget              -               float                cost        (ours: a hard budget)
+pull, g             -               (H, p)               cost/per    (ours: a known term)
 ==================  ==============  ===================  ==========  =========================
 
 A vector over time is flattened with entry r of step t at index t*p + r.  Inside functions the

@@ -10,12 +10,19 @@ README = (ROOT / "README.md").read_text(encoding="utf-8")
 
 
 def test_the_example_runs_and_is_certified(capsys):
-    (code,) = re.findall(r"```python\n(.*?)```", README, re.DOTALL)
+    first, second = re.findall(r"```python\n(.*?)```", README, re.DOTALL)
     names = {}
-    exec(code, names)
+    exec(first, names)
     assert names["schedule"].is_optimal
     assert str(names["schedule"].cost) in capsys.readouterr().out
     assert set(np.unique(names["schedule"].choices)) <= {0, 1, 2}
+    exec(second, names)
+    robot, limited, front = (names[name] for name in ("robot", "limited", "front"))
+    assert limited.is_optimal
+    assert limited.cost > names["schedule"].cost
+    assert robot.perception_term(limited.choices) <= 0.5
+    assert len(front) > 2
+    assert all(point.is_optimal for point in front)
 
 
 def test_the_commands_are_targets_of_the_makefile():
