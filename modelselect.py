@@ -852,9 +852,13 @@ def _path_at(problem: SelectionProblem, point: Relaxation) -> Choices:
 def _swap(
     problem: SelectionProblem, choices: Choices, time_left: Callable[[], float]
 ) -> tuple[Choices, int]:
-    """Take the best single swap while it helps by more than rounding; return choices and count."""
+    """Swap single models, and intervals where moves cost something, while that helps; count."""
     noise = max(problem.rounding, float(problem.cost_rounding(choices)))
-    return trellis.swap(problem.form, choices, noise, time_left)
+    choices, swaps = trellis.swap(problem.form, choices, noise, time_left)
+    if problem.form.arc is None or not problem.is_feasible(choices):
+        return choices, swaps
+    choices, blocks = trellis.swap_blocks(problem.form, choices, noise, time_left)
+    return choices, swaps + blocks
 
 
 # ----------------------------------------------------- solvers: dynamic programming on labels

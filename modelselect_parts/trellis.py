@@ -348,6 +348,63 @@ def swap(
     return c, swaps
 
 
+def swap_blocks(
+    form: Form, choices: Choices, noise: float, time_left: Callable[[], float]
+) -> tuple[Choices, int]:
+    """Take the best change of an interval of steps to one model while it helps; count them.
+
+    Where moves cost something, changing one step alone pays two of them.  With D the change of the
+    mean error and C the sums of D_t'M_ts D_s over all earlier t and s, the interval from a to b
+    changes mu_c'M mu_c by what lies between four corners of C, plus 2 D'M mu_c.
+    """
+    (H, W, _), c, count = form.mean.shape, choices.copy(), 0
+    while time_left() > 0 and count < 10 * H:
+        best = min(((*_best_interval(form, c, w), w) for w in range(W)), key=lambda found: found[0])
+        change, first, last, w = best
+        if not change < -noise:
+            break
+        c[first : last + 1], count = w, count + 1
+    return c, count
+
+
+def _best_interval(form: Form, c: Choices, w: int) -> tuple[float, int, int]:
+    """Return the change, first and last step of the best interval to change to model w."""
+    H, _, p = form.mean.shape
+    steps, now = np.arange(H), form.mean[np.arange(H), c]
+    D = form.mean[:, w] - now
+    felt = (form.M @ now.ravel()).reshape(H, p)
+    coupled = np.einsum("ti,tisj,sj->ts", D, form.M.reshape(H, p, H, p), D)
+    corner = np.pad(coupled.cumsum(axis=0).cumsum(axis=1), ((1, 0), (1, 0)))
+    change = corner.diagonal()[None, 1:] - corner[:-1, 1:] - corner[1:, :-1].T
+    change = change + corner.diagonal()[:-1, None] + _interval_sum(2 * (D * felt).sum(axis=1))
+    change += _of_interval(form.linear, form.arc, c, w)
+    legal = steps[:, None] <= steps
+    if form.price is not None:
+        more = _of_interval(form.price, form.toll, c, w)
+        legal &= path_sum(form.price, form.toll, c) + more <= form.limit
+    change = np.where(legal, change, np.inf)
+    first, last = np.unravel_index(change.argmin(), change.shape)
+    return float(change[first, last]), int(first), int(last)
+
+
+def _interval_sum(values: Array) -> Array:
+    """Return the sum from step a to step b, [a, b]."""
+    total = np.append(0.0, values.cumsum())
+    return np.asarray(total[None, 1:] - total[:-1, None])
+
+
+def _of_interval(node: Array, arc: Array | None, c: Choices, w: int) -> Array:
+    """Return what model w from step a to step b changes in the sum of nodes and arcs, [a, b]."""
+    steps, missing = np.arange(len(node)), np.isinf(node[:, w])
+    change = _interval_sum(np.where(missing, 0, node[:, w] - node[steps, c]))
+    if arc is not None:
+        old = arc[c[:-1], c[1:]]
+        change -= _interval_sum(np.append(0.0, old)) - np.append(0.0, old)[:, None]  # inside
+        change += np.append(0.0, arc[c[:-1], w] - old)[:, None]
+        change += np.append(arc[w, c[1:]] - old, 0.0)
+    return np.where(_interval_sum(missing * 1.0) > 0, np.inf, change)
+
+
 # -------------------------------------------------------------------------- exact arithmetic
 
 

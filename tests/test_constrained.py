@@ -262,3 +262,18 @@ def test_column_generation_meets_newtons_method_where_both_apply(seed):
     tiny = 1e-6 * max(abs(newton.value), 1e-3) + 10 * problem.rounding
     assert abs(columns.value - newton.value) <= tiny
     assert columns.bound <= newton.value + tiny
+
+
+@given(SEEDS)
+def test_no_change_of_an_interval_improves_what_round_and_swap_returns(seed):
+    problem = a_problem(seed)
+    H, W, _ = problem.mean.shape
+    if problem.form.arc is None:
+        return
+    schedule = ms.round_and_swap(problem)
+    tiny = 10 * problem.rounding + 1e-12 * abs(schedule.cost)
+    for a, b, w in itertools.product(range(H), range(H), range(W)):
+        c = schedule.choices.copy()
+        c[a : b + 1] = w
+        if problem.is_feasible(c):
+            assert problem.total_cost(c) >= schedule.cost - tiny
