@@ -1219,8 +1219,8 @@ def error_cost(problem: SelectionProblem) -> ErrorCost:
     Noise costs what its square says: ``noise`` is part of ``uncoupled``.  A bias also meets
     itself at other steps, through the blocks Psi_tk: it costs more than its square where the
     products add up and less where they cancel, so two models of equal squared error can differ
-    either way.  bias + noise is the control term, unweighted; uncoupled alone is what greedy
-    selection sees.
+    either way.  bias + noise is the control term, unweighted and without a pull; uncoupled alone
+    is what greedy selection sees.
     """
     H, W, _ = problem.mean.shape
     always = np.repeat(np.arange(W)[:, None], H, axis=1)
@@ -1230,7 +1230,8 @@ def error_cost(problem: SelectionProblem) -> ErrorCost:
     if variance.ndim == 4:
         variance = np.diagonal(variance, axis1=-2, axis2=-1)
     mean_square = (problem.mean**2 + variance).sum(axis=-1).mean(axis=0)
-    return ErrorCost(mean_square, own + noise, problem.control_term(always) - noise, noise)
+    mu = problem.chosen_mean(always)
+    return ErrorCost(mean_square, own + noise, ((mu @ problem.psi) * mu).sum(axis=1), noise)
 
 
 def correlated_cost(
@@ -1240,8 +1241,8 @@ def correlated_cost(
 ) -> float:
     """Return the exact expected total cost of `choices` (H,) whose errors correlate over time.
 
-    alpha (mu_c'Psi mu_c + sum_{t,k} sum(Psi_tk * Cov[e_t, e_k])) + beta sum_t kappa[t, w_t]: an
-    extension of ``eq:expTmp1``, whose assumption of independence keeps the terms t = k only.
+    alpha (mu_c'Psi mu_c + sum_{t,k} sum(Psi_tk * Cov[e_t, e_k]) + g'mu_c) + beta perception_term,
+    an extension of ``eq:expTmp1``, whose assumption of independence keeps the terms t = k only.
     covariance(t, w, k, v), (p, p) or a number where p = 1, is that of model w's error at step t
     with model v's at step k, in the place of `problem.variance`.
     """
@@ -1257,6 +1258,7 @@ def correlated_cost(
     check_semidefinite("covariance", joint)
     mu = problem.chosen_mean(c)
     control = mu @ problem.psi @ mu + (problem.psi * joint).sum()
+    control += 0.0 if problem.pull is None else problem.pull.ravel() @ mu
     return float(problem.alpha * control + problem.beta * problem.perception_term(c))
 
 

@@ -54,7 +54,7 @@ class BlendProblem(Frozen):
     Raises
     ------
     ValueError
-        A model that does not exist or is not available.
+        A model that does not exist or is not available; switching costs, a budget or a pull.
     """
 
     problem: Selection
@@ -63,6 +63,11 @@ class BlendProblem(Frozen):
 
     def __post_init__(self) -> None:
         W = self.problem.mean.shape[1]
+        for name in ("switch_cost", "budget", "pull"):
+            if getattr(self.problem, name) is not None:
+                raise ValueError(
+                    f"problem: expected no {name}, which blends do not have, found one"
+                )
         for name in ("worst", "best"):
             w = check_count(name, getattr(self, name), minimum=-W)
             if w >= W or not np.isfinite(self.problem.linear[:, w]).all():

@@ -259,8 +259,13 @@ def test_relaxations_over_single_models_refuse_arcs_and_budgets(relax):
 def test_column_generation_meets_newtons_method_where_both_apply(seed):
     problem = replace(a_problem(seed), switch_cost=None, budget=None)
     columns, newton = ms.relax_by_columns(problem), ms.relax_interior_point(problem)
-    tiny = 1e-6 * max(abs(newton.value), 1e-3) + 10 * problem.rounding
-    assert abs(columns.value - newton.value) <= tiny
+    d, M = np.abs(columns.reference), np.abs(problem.quadratic)
+    # Certificates take off the rounding of all terms that they sum, which may cancel to 0.
+    terms = d @ M @ d + 2 * np.abs(problem.mean).max(axis=1).ravel() @ M @ d
+    terms += problem.linear_size.max(axis=1).sum()
+    tiny = 1e-7 * abs(newton.value) + 1e-14 * terms + 10 * problem.rounding
+    assert columns.value - columns.bound <= tiny
+    assert newton.bound - tiny <= columns.value <= newton.value + tiny
     assert columns.bound <= newton.value + tiny
 
 
@@ -277,3 +282,34 @@ def test_no_change_of_an_interval_improves_what_round_and_swap_returns(seed):
         c[a : b + 1] = w
         if problem.is_feasible(c):
             assert problem.total_cost(c) >= schedule.cost - tiny
+
+
+@given(SEEDS)
+def test_correlated_cost_of_uncorrelated_errors_is_the_total_cost(seed):
+    problem = a_problem(seed)
+    c = ms.solve(problem).choices
+
+    def white(t, w, k, v):
+        return np.diag(problem.variance[t, w]) if t == k else np.zeros(2 * problem.mean.shape[2:])
+
+    expected = pytest.approx(problem.total_cost(c), rel=1e-9, abs=1e-9)
+    assert ms.correlated_cost(problem, c, white) == expected
+
+
+@given(SEEDS)
+def test_bias_and_noise_add_up_to_the_control_term_without_the_pull(seed):
+    problem = replace(a_problem(seed), pull=None, budget=None)
+    H, W, _ = problem.mean.shape
+    always = np.repeat(np.arange(W)[:, None], H, axis=1)
+    cost = ms.error_cost(a_problem(seed))
+    np.testing.assert_allclose(cost.bias + cost.noise, problem.control_term(always), atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    "feature", [{"budget": 1}, {"switch_cost": 1 - np.eye(2)}, {"pull": np.ones((2, 1))}]
+)
+def test_blends_refuse_what_they_do_not_have(feature):
+    mean = np.zeros((2, 2, 1))
+    problem = SelectionProblem(np.eye(2), mean, mean, [0, 1], **feature)
+    with pytest.raises(ValueError, match=f"^problem: expected no {next(iter(feature))}"):
+        ms.BlendProblem(problem)
