@@ -245,6 +245,18 @@ class SelectionProblem(Frozen):
             name: check_number(name, getattr(self, name), minimum=0) for name in ("alpha", "beta")
         }
         self._set(psi=Psi, mean=mean, variance=variance, model_cost=cost, **weights)
+        self._check_beyond_the_paper(H, W, p)
+        with np.errstate(over="ignore", invalid="ignore"):
+            # By Cauchy and Schwarz, a bound on every |mu|'|alpha Psi||mu|, without Psi's square.
+            felt = np.sqrt(self.alpha * np.abs(Psi.diagonal())) @ np.abs(mean).max(axis=1).ravel()
+            largest = felt**2 + self.linear_size.sum() + self._most_spent * max(self.beta, 1)
+        if not largest < 1e300:
+            raise ValueError(
+                "psi: the costs overflow; rescale psi, mean, variance, the prices, alpha or beta"
+            )
+
+    def _check_beyond_the_paper(self, H: int, W: int, p: int) -> None:
+        """Check what moves cost, the model in memory, the pull and that the budget can be kept."""
         if self.switch_cost is not None:
             switch = check_array("switch_cost", self.switch_cost, "W W", (W, W))
             check_range("switch_cost", switch)
@@ -265,14 +277,6 @@ class SelectionProblem(Frozen):
             if least > self._limit:
                 found = f"of at least {least!r}, which one schedule needs, found {self.budget!r}"
                 raise ValueError(f"budget: expected one {found}")
-        with np.errstate(over="ignore", invalid="ignore"):
-            # By Cauchy and Schwarz, a bound on every |mu|'|alpha Psi||mu|, without Psi's square.
-            felt = np.sqrt(self.alpha * np.abs(Psi.diagonal())) @ np.abs(mean).max(axis=1).ravel()
-            largest = felt**2 + self.linear_size.sum() + self._most_spent * max(self.beta, 1)
-        if not largest < 1e300:
-            raise ValueError(
-                "psi: the costs overflow; rescale psi, mean, variance, the prices, alpha or beta"
-            )
 
     @cached_property
     def quadratic(self) -> Array:
@@ -781,7 +785,7 @@ def _mixture(form: trellis.Form, found: trellis.Columns | None) -> Relaxation:
         b /= b.sum(axis=1, keepdims=True)
         return Relaxation(b, trellis.mixed(form.mean, b), math.inf, math.inf, 0)
     bound = trellis.certificate(form, found.reference, found.multiplier).bound
-    b, d, multiplier, value, iterations, _ = found
+    b, d, multiplier, value, iterations = found
     return Relaxation(b, d, value, bound, iterations, multiplier)
 
 
@@ -952,13 +956,10 @@ def dynamic_program(
         if closed(cost, proved) or expired():
             break
         if not steps:
-            given = (problem.form, certificate, d, first.multiplier)
-            triangle = label_search.factor(*given, cost - root)
+            point = (d, first.multiplier)
+            triangle = label_search.factor(problem.form, certificate, *point, cost - root)
         excess = max(0.0, cost - root - triangle.constant)
-        rounding = float(problem.cost_rounding(best))
-        slack = max(SEARCH_SLACK * abs(cost), rounding)
-        if 4 * rounding > OPTIMALITY_GAP * abs(cost):  # no proof is in reach: let labels merge
-            slack = MERGING * rounding
+        slack = _slack(problem, best, cost)
         if not steps:
             least = label_search.negligible_strength(triangle, excess, slack)
             steps = label_search.compress(triangle, least, expired)
@@ -979,6 +980,14 @@ def dynamic_program(
     work = {"labels": labels, "passes": passes, "complete": complete}
     work["seconds"] = perf_counter() - started
     return _certified(problem, best, _point(first), "dynamic_program", proved, **work)
+
+
+def _slack(problem: SelectionProblem, choices: Choices, cost: float) -> float:
+    """Return what a search may give away; without a proof in reach, enough for labels to merge."""
+    rounding = float(problem.cost_rounding(choices))
+    if 4 * rounding > OPTIMALITY_GAP * abs(cost):
+        return MERGING * rounding
+    return max(SEARCH_SLACK * abs(cost), rounding)
 
 
 # --------------------------------------------------------------- solvers: branch and bound
@@ -1170,18 +1179,15 @@ def pareto_front(
     tens of thousands: then state a resolution.  Where `time_limit` seconds end first, or rounding
     leaves a gap, the proved points are returned, with a warning that says where they end.
     """
-    resolution, time_left = (
-        check_number("resolution", resolution, minimum=0),
-        _stopwatch(time_limit),
-    )
+    resolution = check_number("resolution", resolution, minimum=0)
+    time_left = _stopwatch(time_limit)
     prices = problem._price[np.isfinite(problem._price)]
     if problem.switch_cost is not None:
         prices = np.append(prices, problem.switch_cost)
     whole = bool((prices == np.floor(prices)).all() and np.abs(prices).max() < 2**53)
     step = max(resolution, 1.0 if whole else 4e-12 * problem._most_spent)
-    least = float(
-        problem.perception_term(trellis.cheapest_path(problem._price, problem.switch_cost))
-    )
+    cheapest = trellis.cheapest_path(problem._price, problem.switch_cost)
+    least = float(problem.perception_term(cheapest))
     front: list[Schedule] = []
     now = replace(problem, alpha=1.0, beta=0.0)
     while True:

@@ -162,8 +162,8 @@ def certificate(form: Form, d: Array, multiplier: float = 0.0) -> Certificate:
         if A is None:
             return Certificate(float(base), node, float(base), node)
         paths = through(node, A)
-        least = paths[-1].min()  # a sum of 2H non-negative numbers
-        bound = base + least * (1 - 2 * len(node) * EPS) - EPS * abs(base)
+        least = paths[-1].min()  # a sum of 2H non-negative numbers, each of a few roundings
+        bound = base + least * (1 - (2 * len(node) + 8) * EPS) - EPS * abs(base)
     return Certificate(float(bound), np.maximum(paths - least, 0), float(base), node)
 
 
@@ -196,7 +196,6 @@ class Columns(NamedTuple):
     multiplier: float  #: lam
     value: float  #: the least value of a mixture that was found
     iterations: int
-    schedules: Choices  #: (k, H), of the mixture
 
 
 def columns(
@@ -206,14 +205,13 @@ def columns(
     ceiling: float,
     time_left: Callable[[], float],
     max_iterations: int,
-    schedules: Choices | None = None,
 ) -> Columns | None:
     """Relax by column generation (Dantzig and Wolfe 1960; von Hohenbalken 1977).
 
     Keep a few schedules.  The *master* minimises the cost over their mixtures, of spending within
     the limit; at its optimum the mean error is d, and the price of the limit lam.  The cheapest
     path at these prices gives LB(d, lam): it proves the mixture best, or is the next schedule.
-    None if no schedule keeps the limit.  `schedules` (k, H) to begin with are welcome.
+    None if no schedule keeps the limit.
     """
     M, mean, usable, (H, W, _) = form.M, form.mean, form.linear < np.inf, form.mean.shape
     steps, limited = np.arange(H), form.price is not None
@@ -223,8 +221,6 @@ def columns(
     if path_sum(price, toll, least) > form.limit:
         return None
     kept, best, value, k = least[None], None, math.inf, 0
-    if schedules is not None:
-        kept = np.vstack([kept, schedules[usable[steps, schedules].all(axis=1)]])
     bound = -math.inf
     for k in range(1, max_iterations + 1):
         mu = mean[steps, kept].reshape(len(kept), -1)
@@ -237,7 +233,7 @@ def columns(
         path = cheapest_path(G, form.priced(lam))
         found = constant + float(path_sum(G, form.priced(lam), path))
         if best is None or found > bound:
-            bound, best = found, Columns(b, d, lam, value, k, kept)
+            bound, best = found, Columns(b, d, lam, value, k)
         if closed(value, bound) or bound > ceiling or time_left() <= 0:
             break
         kept = np.vstack([kept[(x > 0) | (np.arange(len(kept)) == 0)], path])
