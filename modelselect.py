@@ -82,7 +82,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from modelselect_parts import label_search, trellis
+from modelselect_parts import label_search, local_search, trellis
+from modelselect_parts import triangle as triangles
 from modelselect_parts.blends import Blend, BlendProblem, sdp_blocks, solve_blend
 from modelselect_parts.checks import (
     Array,
@@ -100,6 +101,7 @@ from modelselect_parts.checks import (
     frozen,
     shown,
 )
+from modelselect_parts.column_generation import Columns, columns
 from modelselect_parts.descent import (
     Relaxation,
     closes,
@@ -131,8 +133,9 @@ SEARCH_SLACK = 1e-10
 EXACT_BELOW = 1e-10
 EXACT_SIZE = 100
 MERGING = 30
+PERTURBATIONS = 50
 #: Labels that the passes of `dynamic_program` keep a step.
-WIDTHS = [64 * 16**k for k in range(8)]
+WIDTHS = [64 * 8**k for k in range(8)]
 
 
 def __getattr__(name: str) -> tuple[str, ...]:
@@ -761,14 +764,14 @@ def relax_by_columns(
 ) -> Relaxation:
     """Relax to mixtures of whole schedules: with switching costs and a budget, too.
 
-    The mixtures' mean errors form a polytope; column generation (`trellis.columns`) finds its
+    The mixtures' mean errors form a polytope; column generation (column_generation.py) finds its
     corners as it needs them, by the cheapest path at the prices (d, lam) of the last mixture.
     Stops as `relax_interior_point` does, at the fraction `gap`, after `time_limit` seconds or
     `max_iterations`; without switching costs and a budget it is that one, slower.
     """
     gap, time_left = check_number("gap", gap, minimum=0), _stopwatch(time_limit)
     most = check_count("max_iterations", max_iterations)
-    found = trellis.columns(
+    found = columns(
         problem.form,
         closes(gap, problem.rounding),
         ceiling=math.inf,
@@ -778,7 +781,7 @@ def relax_by_columns(
     return _mixture(problem.form, found)
 
 
-def _mixture(form: trellis.Form, found: trellis.Columns | None) -> Relaxation:
+def _mixture(form: trellis.Form, found: Columns | None) -> Relaxation:
     """Certify a mixture of schedules; where there is none, no schedule is below infinity."""
     if found is None:
         b = np.where(form.linear < np.inf, 1.0, 0.0)
@@ -802,7 +805,7 @@ def _relax(
     closed = closes(gap, problem.rounding)
     limits: dict[str, Any] = {"ceiling": ceiling, "time_left": time_left}
     if not form.bare:
-        return _mixture(form, trellis.columns(form, closed, **limits, max_iterations=300))
+        return _mixture(form, columns(form, closed, **limits, max_iterations=300))
 
     def evaluate(b: Array) -> tuple[float, float, Array]:
         return trellis.relaxed(form, b)
@@ -858,10 +861,10 @@ def _swap(
 ) -> tuple[Choices, int]:
     """Swap single models, and intervals where moves cost something, while that helps; count."""
     noise = max(problem.rounding, float(problem.cost_rounding(choices)))
-    choices, swaps = trellis.swap(problem.form, choices, noise, time_left)
+    choices, swaps = local_search.swap(problem.form, choices, noise, time_left)
     if problem.form.arc is None or not problem.is_feasible(choices):
         return choices, swaps
-    choices, blocks = trellis.swap_blocks(problem.form, choices, noise, time_left)
+    choices, blocks = local_search.swap_blocks(problem.form, choices, noise, time_left)
     return choices, swaps + blocks
 
 
@@ -882,8 +885,8 @@ def plain_dynamic_program(problem: SelectionProblem, *, max_labels: int = 2**18)
     first = _start(problem, None, _stopwatch(None))
     d, lam = first.reference, first.multiplier
     found = _certificate(problem, d, lam)
-    triangle = label_search.factor(problem.form, found, d, lam, first.cost - found.base)
-    purse, U, e = label_search.purse(problem.form, lam), triangle.U, triangle.deviation
+    triangle = triangles.factor(problem.form, found, d, lam, first.cost - found.base)
+    purse, U, e = triangles.purse(problem.form, lam), triangle.U, triangle.deviation
     moves = triangle.moves  # infinite where no better schedule goes
     spend = np.zeros_like(moves) if purse.spend is None else purse.spend
     labels: list[tuple[Any, Any, Array, tuple[int, ...]]] = [(0.0, 0.0, np.zeros(H * p), ())]
@@ -921,7 +924,7 @@ def dynamic_program(
     problem: SelectionProblem,
     *,
     time_limit: float | None = None,
-    max_labels: int = WIDTHS[3],
+    max_labels: int = WIDTHS[4],
     gap: float = OPTIMALITY_GAP,
     relaxation: Relaxation | None = None,
 ) -> Schedule:
@@ -929,12 +932,13 @@ def dynamic_program(
 
     Sphere decoding on a Viterbi trellis (modelselect_parts/label_search.py): a label is a partial
     schedule, and goes when it costs too much or when another one dominates it.  Passes keep at
-    most 64, then 1024, 16384 and 262144 labels a step, up to `max_labels` (at least 64; the
-    default takes a gigabyte or two where it is needed).  A pass that had to drop labels proves the
+    most 64, then eight times as many labels a step, up to `max_labels` (at least 64; the default,
+    262144, takes a gigabyte or two where it is needed).  One that had to drop labels proves the
     least that those cost; one that did not proves the optimum.  A better schedule found by one
-    pass shrinks the budget of the next.  Ends with the gap, or after `time_limit` seconds with what
-    is proved by then; `relaxation`, of `relax_interior_point` by default, gives d and the first
-    schedule.
+    pass shrinks the budget of the next; from the fourth on labels also go by what the steps before
+    must add at least (`label_search.prefix_bounds`).  Ends with the gap, or after `time_limit`
+    seconds with what is proved by then; `relaxation`, of `relax_interior_point` by default, gives d
+    and the first schedule.
     `work` holds the labels kept at every step of the last pass, whether it was complete (a gap is
     then due to rounding), the passes and the seconds.
     """
@@ -944,29 +948,34 @@ def dynamic_program(
     first = _start(problem, relaxation, time_left)
     best, cost, proved, d = first.choices, first.cost, first.root_bound, first.reference
     certificate = _certificate(problem, d, first.multiplier)
-    root, purse = certificate.base, label_search.purse(problem.form, first.multiplier)
-    steps: list[label_search.Coordinates] = []
+    root, purse = certificate.base, triangles.purse(problem.form, first.multiplier)
+    steps: list[triangles.Coordinates] = []
     labels, passes, complete = np.zeros(len(problem.mean), dtype=np.intp), 0, False
+    ahead = None
 
     def expired() -> bool:
         return time_left() <= 0
 
-    widths = [width for width in WIDTHS if width <= max_labels]
-    for width in [*widths, widths[-1]]:
+    widths = [width for width in WIDTHS if width < max_labels] + [max_labels]
+    for width in [*widths, max_labels]:
         if closed(cost, proved) or expired():
             break
+        if passes == 2 and not complete:
+            best, cost = _perturbed(problem, best, cost, time_left)
         if not steps:
             point = (d, first.multiplier)
-            triangle = label_search.factor(problem.form, certificate, *point, cost - root)
+            triangle = triangles.factor(problem.form, certificate, *point, cost - root)
         excess = max(0.0, cost - root - triangle.constant)
         slack = _slack(problem, best, cost)
         if not steps:
             least = label_search.negligible_strength(triangle, excess, slack)
-            steps = label_search.compress(triangle, least, expired)
+            steps = triangles.compress(triangle, least, expired)
             if not steps:
                 break
+        if passes == 3 and not complete:
+            ahead = label_search.prefix_bounds(triangle, steps, excess, slack, expired)
         lost = label_search.losses(triangle, steps, purse, excess, slack, least)
-        found = label_search.search(triangle, steps, purse, lost, width, expired)
+        found = label_search.search(triangle, steps, purse, lost, width, expired, ahead)
         labels, passes, complete, before = found.labels, passes + 1, found.complete, cost
         if found.choices is not None:
             better, _ = _swap(problem, found.choices, time_left)
@@ -974,12 +983,24 @@ def dynamic_program(
                 best, cost = better, lower
         summing = 4 * trellis.EPS * (abs(root) + abs(found.least))
         proved = max(proved, min(before, root + found.least - summing))
-        again = cost < before if found.complete else width < widths[-1]  # with less to give away
+        again = cost < before if found.complete else width < max_labels  # with less to give away
         if not again:
             break
     work = {"labels": labels, "passes": passes, "complete": complete}
     work["seconds"] = perf_counter() - started
     return _certified(problem, best, _point(first), "dynamic_program", proved, **work)
+
+
+def _perturbed(
+    problem: SelectionProblem, choices: Choices, cost: float, time_left: Callable[[], float]
+) -> tuple[Choices, float]:
+    """Look further for a first schedule where switching costs and a budget mislead swaps."""
+    form = problem.form
+    if form.arc is None or form.price is None:
+        return choices, cost
+    noise = max(problem.rounding, float(problem.cost_rounding(choices)))
+    better = local_search.perturbed(form, choices, PERTURBATIONS, noise, time_left)
+    return better, min(cost, _cost(problem, better)[0])
 
 
 def _slack(problem: SelectionProblem, choices: Choices, cost: float) -> float:
@@ -1099,7 +1120,7 @@ def solve(
     *,
     time_limit: float | None = None,
     gap: float = OPTIMALITY_GAP,
-    max_labels: int = WIDTHS[3],
+    max_labels: int = WIDTHS[4],
 ) -> Schedule:
     """Find and certify a best schedule by the cheapest way that proves it.
 

@@ -1,17 +1,12 @@
 r"""The exact search, on bare arrays: sphere decoding on a trellis, with dominance.
 
-After the certificate of a point (d, lam) (see trellis.py) what is left of a schedule's cost is
-
-    excess(c) = sum_t r_t[w_t, w_{t+1}] + lam (K - spent(c)) + (mu_c - d)'M(mu_c - d),      r >= 0,
-
-where r is what each move exceeds the cheapest path by.  A schedule better than the best one known
-has excess below what that one has.  Factor M = U'U, U upper triangular, and read from the last
-step to the first: with e = mu_c - d the quadratic is sum_t |U_tt e_t + y_t|^2, where the *offset*
-y_t collects the steps already chosen (Fincke and Pohst 1985).  A *label* is a partial schedule: its
-excess so far, its offset on the rows still to come, its model where moves cost something, what it
-has spent where there is a limit.  It goes when its excess exceeds the budget, when it cannot keep
-the limit, or when a cheaper label near it *dominates* it (`undominated`).  What remains is a few
-labels, though in the worst case exponentially many: the problem is NP-hard.
+A *label* is a partial schedule, from step t to the last (see triangle.py): its excess so far, its
+offset on the rows still to come, its model where moves cost something, what it has spent where
+there is a limit.  A schedule better than the best one known has excess below what that one has.  So
+a label goes when its excess, and what the steps before must add to it (`prefix_bounds`), exceeds
+this budget; when it cannot keep the limit; or when a cheaper label near it *dominates* it
+(`undominated`).  What remains is a few labels, though in the worst case exponentially many: the
+problem is NP-hard.
 
 Everything that rounding and shortcuts give away is added up (`Losses`) and taken off the bound,
 so what a search claims is a theorem (`search`).
@@ -24,151 +19,22 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-import scipy.linalg as la
+import numpy.typing as npt
 
 from modelselect_parts.checks import Array, Choices, Mask
-from modelselect_parts.semidefinite import MATRIX_TOLERANCE
-from modelselect_parts.trellis import Certificate, Form, forward
-
-EPS, TINY = float(np.finfo(float).eps), float(np.finfo(float).tiny)
-
-
-class Triangle(NamedTuple):
-    """The excess: constant + sum_t moves[t, w_{t+1}, w_t] + sum_t |U_tt e_t + y_t|^2 + the last.
-
-    A state is the model of the step after; where moves are free there is one state, 0.
-    """
-
-    constant: float
-    moves: Array  #: (H, states, W), non-negative, inf where the model cannot be of use
-    deviation: Array  #: (H, W, p), e[t, w] = mu[t, w] - d_t
-    U: Array  #: (pH, pH), upper triangular
-    size: Array  #: (pH,), the largest |e| of a model that can be of use
-    rounding: float  #: of the moves of a schedule
-
-
-class Purse(NamedTuple):
-    """What labels spend; `spend` is None where there is no limit."""
-
-    multiplier: float  #: lam
-    spend: Array | None  #: (H, states, W), what a move spends
-    ahead: Array | None  #: (H, W), the least that the steps before this one spend
-    limit: float
-    size: float  #: the most that a schedule might spend
-    grain: float  #: a label may spend so much more than one that it makes superfluous
-
-
-FREE = Purse(0.0, None, None, math.inf, 0.0, 0.0)
-
-
-def factor(form: Form, found: Certificate, d: Array, multiplier: float, excess: float) -> Triangle:
-    """Factor M + shift = U'U and take the shift out of the nodes again.
-
-    A model is of no use if the cheapest path through it is above `excess`, what the best schedule
-    known exceeds `found.base` by; nor is one that errs more than other steps can make up for.
-    A diagonal shift s adds sum_i s_i e_i^2, which depends on one step's model only, so it can be
-    subtracted there: the sum stays the same, and a singular M has a Cholesky factor.  That lowers
-    the constant by a hundredth of the excess at most, plus what rounding needs.
-    """
-    M, A, node, (H, _, p) = form.M, form.priced(multiplier), found.node, form.mean.shape
-    useful = (found.reduced + (found.bound - found.base) <= max(excess, 0.0)) & (node < np.inf)
-    slack = excess - (found.bound - found.base)
-    while True:
-        deviation = np.where(useful[..., None], form.mean - d.reshape(H, 1, p), 0)
-        size, diagonal = np.abs(deviation).max(axis=1).ravel(), M.diagonal()
-        # More than 1e-6 gains nothing: rounding leaves eps / sqrt(1e-6) = 2e-13 of a row in U.
-        share = min(1e-6, max(slack, 0.0) / 100 / max(size**2 @ diagonal, TINY))
-        shift = (share + 2 * MATRIX_TOLERANCE * len(diagonal)) * diagonal + TINY
-        shifted = node - np.einsum("twi,ti->tw", deviation**2, shift.reshape(H, p))
-        shifted = np.where(useful, shifted, np.inf)
-        lowest = shifted.min(axis=1)
-        lowest[lowest == np.inf] = 0  # no model is of use: no schedule beats the best known
-        left, constant = shifted - lowest[:, None], float(lowest.sum())
-        moves, least = (left[:, None], 0.0) if A is None else _moves(left, A)
-        constant += least
-        U = la.cholesky(M + np.diag(shift))
-        # |Ue|^2 <= excess - constant, as what is left of the path is >= 0, and by Cauchy and
-        # Schwarz e_i^2 <= |Ue|^2 (U'U)^{-1}_ii; 2 covers rounding for pH up to thousands.
-        inverse = la.solve_triangular(U, np.eye(H * p))
-        most = 2 * math.sqrt(max(excess - constant, 0.0)) * np.linalg.norm(inverse, axis=1)
-        beyond = useful & (np.abs(deviation) > most.reshape(H, 1, p)).any(axis=-1)
-        if not beyond.any():
-            break
-        useful &= ~beyond  # a smaller shift will do
-    rounding = 0.0 if A is None else 8 * H * EPS * (least + max(excess, 0.0))
-    return Triangle(constant, moves, deviation, U, np.minimum(size, most), rounding)
-
-
-def _moves(node: Array, A: Array) -> tuple[Array, float]:
-    """Return what the move from w at t to v at t + 1 exceeds the cheapest path by: [t, v, w].
-
-    F[t, w] + A[w, v] + node[t+1, v] - F[t+1, v]; at the end, F[H-1, w] less the cheapest path.
-    """
-    with np.errstate(invalid="ignore"):
-        F = forward(node, A)
-        least = float(F[-1].min())
-        least = least if least < np.inf else 0.0
-        into = (F[:-1, :, None] + A) + node[1:, None] - F[1:, None]
-    last = np.broadcast_to(F[-1] - least, (1, *A.shape))
-    moves = np.concatenate([into.swapaxes(1, 2), last])
-    return np.where(np.isnan(moves), np.inf, np.maximum(moves, 0)), least
-
-
-def purse(form: Form, multiplier: float) -> Purse:
-    """Return what moves spend, as `_moves` is laid out, and what the rest spends at least."""
-    if form.price is None:
-        return FREE
-    price = np.where(form.linear < np.inf, form.price, np.inf)
-    H, W = price.shape
-    spend = price[:, None]
-    if form.toll is not None:
-        tolls = np.concatenate([np.broadcast_to(form.toll.T, (H - 1, W, W)), np.zeros((1, W, W))])
-        spend = spend + tolls
-    ahead = forward(price, form.toll) - np.where(price < np.inf, price, 0)
-    largest = np.abs(form.price).max(axis=1).sum()
-    largest += 0.0 if form.toll is None else H * form.toll.max()
-    size = float(largest) + TINY
-    return Purse(multiplier, spend, ahead, form.limit, size, 4 * EPS * size)
-
-
-class Coordinates(NamedTuple):
-    """Offsets of one step in a basis of the few directions in which they lie."""
-
-    read: Array  #: (p, r'), coordinates of step t+1 -> offset on the rows of step t
-    carry: Array  #: (r, r'), coordinates of step t+1 -> those of step t
-    push: Array  #: (r, p), e_t -> its share in the coordinates of step t
-    reach: float  #: no offset is longer than this
-
-
-def compress(triangle: Triangle, least: float, expired: Callable[[], bool]) -> list[Coordinates]:
-    """Find a basis of the offsets of every step; empty if time is over.
-
-    The offset on the rows before step t lies in the range of U[:tp, tp:].  Its rank is that of
-    U[:tp, :tp]'U[:tp, tp:], a block of M, as the shift is diagonal: n or 2n, for Psi of a task with
-    n states.  Rounding adds weak directions; those of strength (singular value) at most `least`
-    are dropped.  Orthonormal columns keep all distances.
-    """
-    U, size, (H, _, p) = triangle.U, triangle.size, triangle.deviation.shape
-    steps: list[Coordinates] = [None] * H  # type: ignore[list-item]
-    basis = scaled = np.zeros((H * p, 0))
-    for t in reversed(range(H)):
-        if expired():
-            return []
-        rows, before = slice(t * p, (t + 1) * p), slice(0, t * p)
-        column = U[before, rows]
-        wide = np.hstack([scaled[before], column * size[rows]])
-        V, strength, _ = np.linalg.svd(wide, full_matrices=False)  # SciPy's refuses no rows
-        reach = math.sqrt(p * (H - t)) * float(strength.max(initial=0))
-        V = V[:, strength > least]
-        steps[t] = Coordinates(basis[rows].copy(), V.T @ basis[before], V.T @ column, reach)
-        basis, scaled = V, V * strength[: V.shape[1]]
-    return steps
-
+from modelselect_parts.triangle import (
+    EPS,
+    FREE,
+    Coordinates,
+    Purse,
+    Triangle,
+    compress,
+    excess_of,
+    segment,
+)
 
 # Cells of `undominated`: the root of the budget, halved so often; the last merges equal offsets.
 GRIDS = (0, 1, 2, 3, 4, 5, 6, 7, 24)
-# And, where there is a limit: shares of it, from equal spending to any.
-SHARES = (1e-12, 1e-3, 8e-3, 1e3)
 
 
 class Losses(NamedTuple):
@@ -184,8 +50,9 @@ class Losses(NamedTuple):
       Q + 2 x sqrt(B) + x^2.
     - *Merging.*  A dominance test may lose `merge`.  A schedule's chain of dominators has one
       link a step and grid at most, as the representative of a cell is not discarded in its own
-      pass: at most H tests merge in all, and as many roundings of a test.  Where there is a limit,
-      a dominator may spend a grain more: H tests grains in all, at the price lam.
+      pass: at most H tests merge in all, and as many roundings of a test.
+    - *Spending.*  Sums in another order differ by grains, for each of which lam is paid.  A
+      dominator never spends more, as sums of floats are monotone.
     - *Rounding.*  U'U differs from M by (pH + 1) eps/2 |U|'|U| at most (Higham, Accuracy and
       Stability, theorem 10.3).  An offset errs at every step by a few eps of its reach for each
       term that its coordinates sum, those of the basis included, which changes the residuals as
@@ -194,7 +61,7 @@ class Losses(NamedTuple):
 
     budget: float  #: B: labels above it go
     merge: float
-    grains: float  #: what dominators may spend more, in all
+    grains: float  #: what labels may spend beyond the limit
     total: float  #: what the bound is lowered by, B less the excess that must be kept
 
 
@@ -224,7 +91,7 @@ def losses(
     lengths = sum(step.reach for step in steps) + float(own.sum())
     x = H * least * math.sqrt(p * H) + 2 * EPS * (p * H + terms + 10) * lengths
     rest = slack / 2 + (p * H + 10) * EPS / 2 * float(own @ own) + triangle.rounding
-    tests = len(GRIDS) * (1 if purse.spend is None else len(SHARES))
+    tests = len(GRIDS)
     grains = H * (tests + 1) * purse.grain
     rest += purse.multiplier * grains
     budget = (x + math.sqrt(excess + rest + 2 * x * x)) ** 2
@@ -240,7 +107,7 @@ def undominated(
     expired: Callable[[], bool],
     state: Choices | None = None,
     spent: Array | None = None,
-    purse: Purse = FREE,
+    multiplier: float = 0.0,
 ) -> Mask:
     """Mark the labels, sorted by extra cost, that no cheaper label nearby makes superfluous.
 
@@ -254,43 +121,73 @@ def undominated(
     have spent more, and extra - lam spent takes the place of extra: the rest of what they may spend
     is paid for at the end.
 
-    Any label may be tested against any cheaper one; we test against the cheapest label of the
-    same grid cell, for cells of several sizes, of offsets and of spending.  A cell's corner is
-    hashed by multiplying with powers of an odd number (2^64 over the golden ratio); its top bits
-    index a table.  Cells that share an entry do no harm, as the test itself is exact.
+    Any label may be tested against any other; we test against the cheapest of the same grid cell,
+    for cells of several sizes: `_first_of_cell`, or `_cheapest_so_far` where there is a limit.
     """
-    alive = np.arange(len(extra))
+    paid = extra if spent is None else extra - multiplier * spent
+    alive = np.arange(len(extra)) if spent is None else np.argsort(spent, kind="stable")
+    room = np.sqrt(np.maximum(budget - extra, 0))
     hashing = np.cumprod(np.full(y.shape[1] + 2, 0x9E3779B97F4A7C15, dtype=np.uint64))
-    paid = extra if spent is None else extra - purse.multiplier * spent
+    fruitful = True
     for halvings in GRIDS:
         if len(alive) < 2 or expired():
             break
+        if not (fruitful or halvings == GRIDS[-1]):
+            continue
         side = math.sqrt(budget) / 2**halvings
-        corner = np.floor(y[alive] / side + 0.618 * halvings)  # shifted: cells share no borders
-        cell = corner.astype(np.int64).astype(np.uint64) @ hashing[:-2]
+        corner = np.floor(y.take(alive, axis=0) / side + 0.618 * halvings)  # no common borders
+        cell = corner.astype(np.int64).view(np.uint64) @ hashing[:-2]
         if state is not None:
             cell = cell + state[alive].astype(np.uint64) * hashing[-2]
-        for share in SHARES if spent is not None else (0.0,):
-            key = cell
-            if spent is not None:
-                bucket = np.floor(spent[alive] / (share * purse.size) + 0.5)
-                key = cell + bucket.astype(np.int64).astype(np.uint64) * hashing[-1]
-            bits = len(alive).bit_length() + 2
-            key = (key * hashing[0] if spent is not None else key) >> np.uint64(64 - bits)
-            table = np.empty(2**bits, dtype=np.intp)
-            table[key[::-1]] = np.arange(len(alive))[::-1]  # of equal keys, the first stays
-            i, j = alive[table[key]], alive
-            rho2 = ((y[i] - y[j]) ** 2).sum(axis=1)
-            cross = 2 * np.sqrt(rho2) * np.sqrt(np.maximum(budget - extra[j], 0))
-            keep = (i == j) | (paid[i] + cross + rho2 > paid[j] + merge)
-            if state is not None:
-                keep |= state[i] != state[j]
-            if spent is not None:
-                keep |= spent[i] > spent[j] + purse.grain
-            alive, cell = alive[keep], cell[keep]
+        i = (
+            _cheapest_so_far(cell * hashing[0], paid[alive])
+            if spent is not None
+            else _first_of_cell(cell)
+        )
+        i, j = alive[i], alive
+        alike = i != j if state is None else (i != j) & (state[i] == state[j])
+        tested = np.flatnonzero(alike)
+        i, j = i[tested], j[tested]
+        apart = y.take(i, axis=0) - y.take(j, axis=0)
+        rho2 = np.einsum("ij,ij->i", apart, apart)
+        dominated = paid[i] + 2 * np.sqrt(rho2) * room[j] + rho2 <= paid[j] + merge
+        fruitful = halvings < 2 or int(dominated.sum()) > len(alive) / 100
+        alive = np.delete(alive, tested[dominated])
     kept = np.zeros(len(extra), dtype=bool)
     kept[alive] = True
     return kept
+
+
+def _first_of_cell(cell: npt.NDArray[np.uint64]) -> Choices:
+    """Return for every label the first of its cell; cells are numbers of 64 bits, hashed.
+
+    A cell's corner is hashed by multiplying with powers of an odd number (2^64 over the golden
+    ratio); its top bits index a table.  Cells that share an entry do no harm, as tests are exact.
+    """
+    bits = len(cell).bit_length() + 2
+    key = cell >> np.uint64(64 - bits)
+    table = np.empty(2**bits, dtype=np.intp)
+    table[key[::-1]] = np.arange(len(cell))[::-1]  # of equal keys, the first stays
+    return np.asarray(table[key])
+
+
+def _cheapest_so_far(cell: npt.NDArray[np.uint64], paid: Array) -> Choices:
+    """Return for every label the one of its cell that has paid least, up to itself.
+
+    Labels come in the order of what they have spent, so it has not spent more.  Sixteen bits of a
+    cell's hash do for some thousand labels, and sort in linear time.
+    """
+    n = len(cell)
+    key = (cell >> np.uint64(48)).astype(np.uint16) if n < 2**14 else cell
+    order, cheapest = np.argsort(key, kind="stable"), np.argsort(paid, kind="stable")
+    rank = np.empty(n, dtype=np.int64)
+    rank[cheapest] = np.arange(n)
+    key = key[order]
+    number = np.cumsum(np.append(True, key[1:] != key[:-1]))
+    least = np.minimum.accumulate(rank[order] - n * number)  # cells count down: each starts anew
+    found = np.empty(n, dtype=np.intp)
+    found[order] = cheapest[least % n]
+    return found
 
 
 class Pass(NamedTuple):
@@ -309,8 +206,11 @@ def search(
     given: Losses,
     width: int,
     expired: Callable[[], bool],
+    before: Array | None = None,
 ) -> Pass:
     """Keep at most `width` labels a step, from the last step to the first.
+
+    `before` (H,) is what the steps before each one add at least (`prefix_bounds`), 0 by default.
 
     A schedule is over the budget, or descends from a label that was dropped, or has a survivor
     that is no worse, up to the losses: so no schedule's excess is below the least of the three,
@@ -322,6 +222,7 @@ def search(
     (H, states, _), p, limited = moves.shape, deviation.shape[2], purse.spend is not None
     extra, y, dropped = np.zeros(1), np.zeros((1, 0)), math.inf
     state, spent = np.zeros(1, dtype=np.intp), np.zeros(1)
+    before = np.zeros(H) if before is None else before
     trail: list[tuple[Choices, Choices]] = []
     for t in reversed(range(H)):
         step = steps[t]
@@ -330,7 +231,7 @@ def search(
         felt = ((y @ step.read.T)[:, None] + own) ** 2
         move = moves[t][:, models][state] if states > 1 else moves[t, 0, models]
         grown = extra[:, None] + move + felt.sum(axis=-1)
-        within = grown <= given.budget
+        within = grown + before[t] <= given.budget
         if purse.spend is not None and purse.ahead is not None:
             spend = purse.spend[t, :, models].T
             total = spent[:, None] + (spend[state] if len(spend) > 1 else spend)
@@ -339,16 +240,17 @@ def search(
         order = np.argsort(grown[parent, child])
         parent, child = parent[order], child[order]
         extra = grown[parent, child]
-        y = (y @ step.carry.T)[parent] + (deviation[t, models] @ step.push.T)[child]
+        y = (y @ step.carry.T).take(parent, axis=0)
+        y += (deviation[t, models] @ step.push.T).take(child, axis=0)
         state = models[child] if states > 1 else np.zeros(len(child), dtype=np.intp)
         spent = total[parent, child] if limited else spent
-        who = (state if states > 1 else None, spent if limited else None, purse)
+        who = (state if states > 1 else None, spent if limited else None, purse.multiplier)
         kept = np.flatnonzero(undominated(extra, y, given.budget, given.merge, expired, *who))
         most = min(width, 64) if expired() else width  # out of time: finish on a narrow beam
         if len(kept) > most:
-            dropped = min(dropped, float(extra[kept[most]]))
+            dropped = min(dropped, float(extra[kept[most]] + before[t]))
         kept = kept[:most]
-        extra, y, state = extra[kept], y[kept], state[kept]
+        extra, y, state = extra[kept], y.take(kept, axis=0), state[kept]
         spent = spent[kept] if limited else spent
         trail.append((parent[kept], models[child[kept]]))
     labels = np.array([len(models) for _, models in reversed(trail)], dtype=np.intp)
@@ -363,3 +265,32 @@ def search(
         choices[t], label = models[label], parent[label]
     least += triangle.constant - given.total
     return Pass(choices if found else None, least, dropped == math.inf, labels)
+
+
+def prefix_bounds(
+    triangle: Triangle,
+    steps: list[Coordinates],
+    excess: float,
+    slack: float,
+    expired: Callable[[], bool],
+) -> Array:
+    """Return R[t], (H,): steps before t add no less to an excess, whatever comes from later ones.
+
+    Russian dolls (Verfaillie, Lemaitre and Schiex 1996): search the first sixth of the steps, with
+    that the first third, with both the first half, and so on.  Spending is free.  A search that has
+    to drop labels still proves something, so short ones do.
+    """
+    H = len(steps)
+    R, stride = np.zeros(H + 1), -(-H // 6)
+    for b in range(stride, H, stride):
+        doll, least_known = segment(triangle, steps, 0, b, excess), excess
+        weak = negligible_strength(doll, excess, slack)
+        coordinates = compress(doll, weak, expired)
+        for width in (64, 512) if coordinates else ():
+            given = losses(doll, coordinates, FREE, least_known, slack, weak)
+            found = search(doll, coordinates, FREE, given, width, expired, R)
+            R[b:] = max(R[b], found.least)
+            if found.complete or found.choices is None:
+                break
+            least_known = min(least_known, excess_of(doll, found.choices))
+    return R[:-1]

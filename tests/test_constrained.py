@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 import modelselect as ms
 from modelselect import SelectionProblem
+from modelselect_parts import label_search, local_search, trellis, triangle
 
 SEEDS = st.integers(0, 2**32 - 1)
 EXACT = (ms.enumerate_schedules, ms.plain_dynamic_program, ms.dynamic_program, ms.solve)
@@ -116,6 +117,98 @@ def test_every_solver_finds_and_proves_the_cheapest_feasible_schedule(seed):
                 schedule.cost
             )
         ms.check_certificate(problem, schedule)
+
+
+def a_robots_problem(seed):
+    """A task of one or two states, so that offsets have few directions, with all features."""
+    rng = np.random.default_rng(seed)
+    H, W, n = (int(rng.integers(low, high)) for low, high in ((4, 8), (2, 4), (1, 3)))
+    A = rng.normal(size=(n, n)) * rng.choice([0.3, 0.7, 1.0])
+    task = ms.ControlTask(A, rng.normal(size=(n, 1)), rng.normal(size=(n, 1)), np.eye(n), [[1]], H)
+    switch = rng.uniform(0, 0.5, (W, W)) * (1 - np.eye(W))
+    problem = SelectionProblem(
+        ms.psi(task, rng.choice(["preview", "open_loop"])),
+        rng.normal(size=(H, W, 1)),
+        np.zeros((H, W, 1)),
+        rng.uniform(0, 1, (H, W)) * rng.choice([0, 0.1, 1]),
+        switch_cost=switch if rng.random() < 0.5 else None,
+    )
+    if rng.random() < 0.5:
+        spent = problem.perception_term(schedules_of(problem))
+        problem = replace(problem, budget=float(rng.choice(spent)))
+    return problem
+
+
+@given(SEEDS)
+def test_prefix_bounds_are_below_what_any_schedule_adds(seed):
+    problem = a_robots_problem(seed)
+    schedules, form = schedules_of(problem), problem.form
+    best = problem.total_cost(schedules)[problem.is_feasible(schedules)].min()
+    point = ms.relax_by_columns(problem)
+    d, lam = point.reference, point.multiplier
+    found = trellis.certificate(form, d, lam)
+    excess = best * np.random.default_rng(seed).choice([1, 1.2, 2]) - found.base
+    parts = triangle.factor(form, found, d, lam, excess)
+    steps = triangle.compress(parts, 0.0, lambda: False)
+    room = max(excess - parts.constant, 1e-12)
+    R = label_search.prefix_bounds(parts, steps, room, 0.0, lambda: False)
+    assert (R >= 0).all() and (np.diff(R) >= 0).all()
+    for c in schedules:
+        residual = parts.U @ parts.deviation[np.arange(len(c)), c, 0]
+        state = np.append(c[1:], 0) if parts.moves.shape[1] > 1 else 0 * c
+        added = np.cumsum(parts.moves[np.arange(len(c)), state, c] + residual**2)
+        if added[-1] <= room:
+            assert (R[1:] <= added[:-1] * (1 + 1e-9) + 1e-12).all()
+
+
+@given(SEEDS)
+def test_passes_that_drop_labels_still_prove_nothing_false(seed):
+    # Widths so narrow that tiny problems come to disturbed schedules and to prefix bounds.
+    problem = a_robots_problem(seed) if seed % 2 else a_problem(seed)
+    schedules = schedules_of(problem)
+    best = problem.total_cost(schedules)[problem.is_feasible(schedules)].min()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(ms, "WIDTHS", [1, 1, 1, 2, 3])
+        patch.setattr(ms, "PERTURBATIONS", 2)
+        for most in (1, 3, 2**18):
+            found = ms.dynamic_program(problem, max_labels=most)
+            slack = 1e-9 * max(abs(best), 1e-9)
+            assert found.lower_bound <= best + slack and found.cost >= best - slack
+            assert problem.is_feasible(found.choices)
+        assert found.is_optimal or found.gap < 1e-6
+
+
+@given(SEEDS, st.integers(0, 3), st.integers(1, 60), st.booleans())
+def test_only_labels_that_spent_no_less_are_dominated(seed, dimensions, labels, whole):
+    rng = np.random.default_rng(seed)
+    draw = (lambda size: rng.integers(0, 4, size) / 4) if whole else rng.random
+    extra, y = np.sort(draw(labels)), draw((labels, dimensions)) / 4
+    spent, state = draw(labels), rng.integers(0, 2, labels)
+    kept = label_search.undominated(extra, y, 1.0, 0.0, lambda: False, state, spent, 0.5)
+    paid = extra - 0.5 * spent
+    assert kept.any()
+    for j in np.flatnonzero(~kept):
+        rho = np.linalg.norm(y - y[j], axis=1)
+        claim = paid + 2 * rho * np.sqrt(1 - extra[j]) + rho**2 <= paid[j] + 1e-12
+        claim &= (state == state[j]) & (spent <= spent[j])
+        claim[j] = False
+        assert claim.any(), "no label of its state that spent no more dominates it"
+
+
+def test_schedules_are_disturbed_where_no_single_change_helps():
+    switch = np.array([[0, 1.0], [1, 0]])
+    problem = SelectionProblem(
+        np.ones((6, 6)),
+        np.tile([[1.0], [-1.0]], (6, 1, 1)),
+        np.zeros((6, 2, 1)),
+        [0, 1.0],
+        switch_cost=switch,
+        budget=4,
+    )
+    start = np.zeros(6, dtype=int)
+    better = local_search.perturbed(problem.form, start, 50, 1e-12, lambda: 1.0)
+    assert problem.total_cost(better) == ms.enumerate_schedules(problem).cost == 4
+    assert local_search.perturbed(problem.form, start, 0, 1e-12, lambda: 1.0).tolist() == [0] * 6
 
 
 @given(SEEDS)

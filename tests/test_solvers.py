@@ -16,6 +16,7 @@ from scipy.optimize import lsq_linear
 import modelselect as ms
 from modelselect import SelectionProblem
 from modelselect_parts import label_search, trellis
+from modelselect_parts import triangle as triangle_part
 from perception import published_suite, textbook_suite
 
 from strategies import SEEDS, every_schedule, problems
@@ -218,7 +219,7 @@ def test_no_single_swap_improves_what_round_and_swap_returns(problem):
 def factored(problem, d):
     """What the bound of d is made from, and the excess over it as a sum over steps."""
     found = trellis.certificate(problem.form, d)
-    return found.base, label_search.factor(problem.form, found, d, 0.0, np.inf)
+    return found.base, triangle_part.factor(problem.form, found, d, 0.0, np.inf)
 
 
 @given(problems(max_horizon=4, max_models=3), SEEDS)
@@ -241,7 +242,7 @@ def test_triangle_restates_the_cost_exactly(problem, seed):
 def test_compressed_offsets_keep_their_lengths(p, rank):
     problem = known_suite(5, H=10, p=p, rank=rank)
     _, triangle = factored(problem, np.zeros(10 * p))
-    steps = label_search.compress(triangle, 1e-9, lambda: False)
+    steps = triangle_part.compress(triangle, 1e-9, lambda: False)
     e, U = triangle.deviation, triangle.U
     chosen = e[np.arange(10), np.random.default_rng(1).integers(0, 4, 10)]
     y, offset = np.zeros(0), np.zeros(10 * p)
@@ -260,7 +261,7 @@ def test_truncated_offsets_stay_within_the_error_that_the_proof_allows(informati
     _, triangle = factored(problem, ms.relax_interior_point(problem).reference)
     (H, W, _), e, U = problem.mean.shape, triangle.deviation, triangle.U
     least = 1e-3 * float(np.abs(U).max() * np.abs(e).max())  # coarse, so that truncation shows
-    steps, rng = label_search.compress(triangle, least, lambda: False), np.random.default_rng(0)
+    steps, rng = triangle_part.compress(triangle, least, lambda: False), np.random.default_rng(0)
     for _ in range(5):
         chosen = e[np.arange(H), rng.integers(0, W, H)]
         y, read = np.zeros(0), np.zeros(H)

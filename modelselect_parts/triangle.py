@@ -1,0 +1,203 @@
+r"""What is left of a schedule's cost after the certificate, in a form that a search can add up.
+
+After the certificate of a point (d, lam) (see trellis.py) a schedule's cost exceeds the bound by
+
+    excess(c) = sum_t r_t[w_t, w_{t+1}] + lam (K - spent(c)) + (mu_c - d)'M(mu_c - d),      r >= 0,
+
+where r is what each move exceeds the cheapest path by.  Factor M = U'U, U upper triangular, and
+read from the last step to the first: with e = mu_c - d the quadratic is sum_t |U_tt e_t + y_t|^2,
+where the *offset* y_t collects the steps already chosen (Fincke and Pohst 1985).  Offsets lie in a
+few directions, as many as the task has states or twice that; `compress` finds them.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+import scipy.linalg as la
+
+from modelselect_parts.checks import Array, Choices
+from modelselect_parts.semidefinite import MATRIX_TOLERANCE
+from modelselect_parts.trellis import Certificate, Form, forward
+
+EPS, TINY = float(np.finfo(float).eps), float(np.finfo(float).tiny)
+
+
+class Triangle(NamedTuple):
+    """The excess: constant + sum_t moves[t, w_{t+1}, w_t] + sum_t |U_tt e_t + y_t|^2 + the last.
+
+    A state is the model of the step after; where moves are free there is one state, 0.
+    """
+
+    constant: float
+    moves: Array  #: (H, states, W), non-negative, inf where the model cannot be of use
+    deviation: Array  #: (H, W, p), e[t, w] = mu[t, w] - d_t
+    U: Array  #: (pH, pH), upper triangular
+    size: Array  #: (pH,), the largest |e| of a model that can be of use
+    rounding: float  #: of the moves of a schedule
+
+
+class Purse(NamedTuple):
+    """What labels spend; `spend` is None where there is no limit."""
+
+    multiplier: float  #: lam
+    spend: Array | None  #: (H, states, W), what a move spends
+    ahead: Array | None  #: (H, W), the least that the steps before this one spend
+    limit: float
+    size: float  #: the most that a schedule might spend
+    grain: float  #: how far a sum of what a schedule spends may be off, per step
+
+
+FREE = Purse(0.0, None, None, math.inf, 0.0, 0.0)
+
+
+def factor(form: Form, found: Certificate, d: Array, multiplier: float, excess: float) -> Triangle:
+    """Factor M + shift = U'U and take the shift out of the nodes again.
+
+    A model is of no use if the cheapest path through it is above `excess`, what the best schedule
+    known exceeds `found.base` by; nor is one that errs more than other steps can make up for.
+    A diagonal shift s adds sum_i s_i e_i^2, which depends on one step's model only, so it can be
+    subtracted there: the sum stays the same, and a singular M has a Cholesky factor.  That lowers
+    the constant by a hundredth of the excess at most, plus what rounding needs.
+    """
+    M, A, node, (H, _, p) = form.M, form.priced(multiplier), found.node, form.mean.shape
+    useful = (found.reduced + (found.bound - found.base) <= max(excess, 0.0)) & (node < np.inf)
+    slack = excess - (found.bound - found.base)
+    while True:
+        deviation = np.where(useful[..., None], form.mean - d.reshape(H, 1, p), 0)
+        size, diagonal = np.abs(deviation).max(axis=1).ravel(), M.diagonal()
+        # More than 1e-6 gains nothing: rounding leaves eps / sqrt(1e-6) = 2e-13 of a row in U.
+        share = min(1e-6, max(slack, 0.0) / 100 / max(size**2 @ diagonal, TINY))
+        shift = (share + 2 * MATRIX_TOLERANCE * len(diagonal)) * diagonal + TINY
+        shifted = node - np.einsum("twi,ti->tw", deviation**2, shift.reshape(H, p))
+        shifted = np.where(useful, shifted, np.inf)
+        lowest = shifted.min(axis=1)
+        lowest[lowest == np.inf] = 0  # no model is of use: no schedule beats the best known
+        left, constant = shifted - lowest[:, None], float(lowest.sum())
+        moves, least = (left[:, None], 0.0) if A is None else _moves(left, A)
+        constant += least
+        U = la.cholesky(M + np.diag(shift))
+        # |Ue|^2 <= excess - constant, as what is left of the path is >= 0, and by Cauchy and
+        # Schwarz e_i^2 <= |Ue|^2 (U'U)^{-1}_ii; 2 covers rounding for pH up to thousands.
+        inverse = la.solve_triangular(U, np.eye(H * p))
+        most = 2 * math.sqrt(max(excess - constant, 0.0)) * np.linalg.norm(inverse, axis=1)
+        beyond = useful & (np.abs(deviation) > most.reshape(H, 1, p)).any(axis=-1)
+        if not beyond.any():
+            break
+        useful &= ~beyond  # a smaller shift will do
+    rounding = 0.0 if A is None else 8 * H * EPS * (least + max(excess, 0.0))
+    return Triangle(constant, moves, deviation, U, np.minimum(size, most), rounding)
+
+
+def _moves(node: Array, A: Array) -> tuple[Array, float]:
+    """Return what the move from w at t to v at t + 1 exceeds the cheapest path by: [t, v, w].
+
+    F[t, w] + A[w, v] + node[t+1, v] - F[t+1, v]; at the end, F[H-1, w] less the cheapest path.
+    """
+    with np.errstate(invalid="ignore"):
+        F = forward(node, A)
+        least = float(F[-1].min())
+        least = least if least < np.inf else 0.0
+        into = (F[:-1, :, None] + A) + node[1:, None] - F[1:, None]
+    last = np.broadcast_to(F[-1] - least, (1, *A.shape))
+    moves = np.concatenate([into.swapaxes(1, 2), last])
+    return np.where(np.isnan(moves), np.inf, np.maximum(moves, 0)), least
+
+
+def purse(form: Form, multiplier: float) -> Purse:
+    """Return what moves spend, as `_moves` is laid out, and what the rest spends at least."""
+    if form.price is None:
+        return FREE
+    price = np.where(form.linear < np.inf, form.price, np.inf)
+    H, W = price.shape
+    spend = price[:, None]
+    if form.toll is not None:
+        tolls = np.concatenate([np.broadcast_to(form.toll.T, (H - 1, W, W)), np.zeros((1, W, W))])
+        spend = spend + tolls
+    ahead = forward(price, form.toll) - np.where(price < np.inf, price, 0)
+    largest = np.abs(form.price).max(axis=1).sum()
+    largest += 0.0 if form.toll is None else H * form.toll.max()
+    size = float(largest) + TINY
+    return Purse(multiplier, spend, ahead, form.limit, size, 4 * EPS * size)
+
+
+class Coordinates(NamedTuple):
+    """Offsets of one step in a basis of the few directions in which they lie."""
+
+    read: Array  #: (p, r'), coordinates of step t+1 -> offset on the rows of step t
+    carry: Array  #: (r, r'), coordinates of step t+1 -> those of step t
+    push: Array  #: (r, p), e_t -> its share in the coordinates of step t
+    reach: float  #: no offset is longer than this
+
+
+def compress(triangle: Triangle, least: float, expired: Callable[[], bool]) -> list[Coordinates]:
+    """Find a basis of the offsets of every step; empty if time is over.
+
+    The offset on the rows before step t lies in the range of U[:tp, tp:].  Its rank is that of
+    U[:tp, :tp]'U[:tp, tp:], a block of M, as the shift is diagonal: n or 2n, for Psi of a task with
+    n states.  Rounding adds weak directions; those of strength (singular value) at most `least`
+    are dropped.  Orthonormal columns keep all distances.
+    """
+    U, size, (H, _, p) = triangle.U, triangle.size, triangle.deviation.shape
+    steps: list[Coordinates] = [None] * H  # type: ignore[list-item]
+    basis = scaled = np.zeros((H * p, 0))
+    for t in reversed(range(H)):
+        if expired():
+            return []
+        rows, before = slice(t * p, (t + 1) * p), slice(0, t * p)
+        column = U[before, rows]
+        wide = np.hstack([scaled[before], column * size[rows]])
+        V, strength, _ = np.linalg.svd(wide, full_matrices=False)  # SciPy's refuses no rows
+        reach = math.sqrt(p * (H - t)) * float(strength.max(initial=0))
+        V = V[:, strength > least]
+        steps[t] = Coordinates(basis[rows].copy(), V.T @ basis[before], V.T @ column, reach)
+        basis, scaled = V, V * strength[: V.shape[1]]
+    return steps
+
+
+def segment(
+    triangle: Triangle, steps: list[Coordinates], a: int, b: int, excess: float
+) -> Triangle:
+    """Return a triangle whose excess is the least that steps a to b - 1 add, whatever comes later.
+
+    The coordinates y of step b are free, and so is its model.  Of the rows Y e + G y of the segment
+    |(I - P) Y e|^2 is left, P the projection on the range of G: with V its basis, that is what the
+    QR factorisation of [V, Y] has below the rows of V.
+
+    `rounding` is that of excesses up to `excess`: rows err by a share of the lengths of the columns
+    (Higham, theorem 19.4) and by directions of G too weak for V; y is no longer than its reach.
+    """
+    moves, U, p = triangle.moves[a:b], triangle.U, triangle.deviation.shape[2]
+    free, n = len(steps[b].carry) if b < len(steps) else 0, (b - a) * p
+    rows, y = np.zeros((n, free + n)), np.eye(free, free + n)
+    for t in reversed(range(a, b)):
+        here = np.arange((t - a) * p, (t - a + 1) * p)
+        rows[here] = steps[t].read @ y
+        rows[np.ix_(here, free + here)] = U[t * p : (t + 1) * p, t * p : (t + 1) * p]
+        y = steps[t].carry @ y
+        y[:, free + here] = steps[t].push
+    size, reach = triangle.size[a * p : b * p], steps[b].reach if free else 0.0
+    V, strength, _ = np.linalg.svd(rows[:, :free], full_matrices=False)
+    weak = strength <= 1e-12 * strength.max(initial=0)
+    lengths = np.linalg.norm(rows[:, free:], axis=0) @ size + free * reach
+    off = 16 * EPS * (n + 1) * (n + free) * float(lengths)
+    off += math.sqrt(free) * reach * float(strength[weak].max(initial=0))
+    V = V[:, ~weak]
+    left = la.qr(np.hstack([V, rows[:, free:]]), mode="r")[0][V.shape[1] : n, V.shape[1] :]
+    if b < len(steps):
+        last = np.broadcast_to(moves[-1].min(axis=0), moves[-1:].shape)
+        moves = np.concatenate([moves[:-1], last])
+    rounding = triangle.rounding + 2 * off * math.sqrt(excess) + off**2
+    factor = np.vstack([left, np.zeros((n - len(left), n))])
+    return Triangle(0.0, moves, triangle.deviation[a:b], factor, size, rounding)
+
+
+def excess_of(triangle: Triangle, choices: Choices) -> float:
+    """Return the excess of a schedule less what it has left of the limit, above the constant."""
+    steps, moves = np.arange(len(choices)), triangle.moves
+    state = np.append(choices[1:], 0) if moves.shape[1] > 1 else 0
+    residual = triangle.U @ triangle.deviation[steps, choices].ravel()
+    return float(moves[steps, state, choices].sum() + residual @ residual)
