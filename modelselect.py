@@ -9,9 +9,10 @@ controller e' Psi e more than true ones, so the best schedule in expectation min
     alpha * (mu_c' Psi mu_c + sum_t trace(Psi_tt Sigma_{t,w_t}))  +  beta * sum_t kappa_{w_t},
 
 quadratic in the mean errors, linear in the variances: an integer quadratic programme.  Beyond the
-paper, switching models may cost something, and what is spent may be limited.  Section
-II, the task and Psi, is modelselect_parts/regulator.py; here are the problem, its certificate and
-its solvers, the plain form of each first.  A solver is a function from a problem to a `Schedule`.
+paper, switching models may cost something, and what is spent may be limited.  Section II, the task
+and Psi, is modelselect_parts/regulator.py; section III, the problem, is problem.py beside it; here
+are the certificate and the solvers, the plain form of each first.  A solver is a function from a
+problem to a `Schedule`.
 
 Symbol table (paper: "Dynamic Selection of Perception Models for Robotic Control";
 equations by their LaTeX labels)
@@ -72,17 +73,15 @@ from __future__ import annotations
 import heapq
 import math
 import warnings
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import KW_ONLY, dataclass, field, replace
-from fractions import Fraction
-from functools import cached_property
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
 from time import perf_counter
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from modelselect_parts import label_search, local_search, trellis
+from modelselect_parts import column_generation, label_search, local_search, trellis
 from modelselect_parts import triangle as triangles
 from modelselect_parts.blends import Blend, BlendProblem, sdp_blocks, solve_blend
 from modelselect_parts.checks import (
@@ -101,7 +100,6 @@ from modelselect_parts.checks import (
     frozen,
     shown,
 )
-from modelselect_parts.column_generation import Columns, columns
 from modelselect_parts.descent import (
     Relaxation,
     closes,
@@ -110,7 +108,20 @@ from modelselect_parts.descent import (
     relative_gap,
     step_lengths,
 )
+from modelselect_parts.hardness import maximum_cut_problem, partition_problem
 from modelselect_parts.interior_point import congruence, interior_point
+from modelselect_parts.problem import (
+    EXACT_BELOW,
+    EXACT_SIZE,
+    ErrorCost,
+    SelectionProblem,
+    correlated_cost,
+    error_cost,
+    from_one_hot,
+    is_separable,
+    one_hot,
+    stepwise_cost,
+)
 from modelselect_parts.regulator import (
     PATTERNS,
     ControlTask,
@@ -130,8 +141,6 @@ __version__ = "0.2.0"
 
 OPTIMALITY_GAP = 1e-9
 SEARCH_SLACK = 1e-10
-EXACT_BELOW = 1e-10
-EXACT_SIZE = 100
 MERGING = 30
 PERTURBATIONS = 50
 #: Labels that the passes of `dynamic_program` keep a step.
@@ -142,310 +151,6 @@ def __getattr__(name: str) -> tuple[str, ...]:
     if name == "INFORMATION":  # the rows of the table, read when asked
         return tuple(PATTERNS)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-
-
-# -------------------------------------------------------------------- the selection problem
-
-
-def one_hot(choices: npt.ArrayLike, models: int) -> Array:
-    """Encode `choices` (H,) of W `models` as b (H, W): 1 where w = w_t (``eq:perEncoding``)."""
-    W = check_count("models", models)
-    c = check_choices(check_array("choices", choices, "H", (None,)), None, W)
-    return np.where(c[:, None] == np.arange(W), 1.0, 0.0)
-
-
-def from_one_hot(weights: npt.ArrayLike) -> Choices:
-    """Decode `weights` b (H, W), a single 1 in every row, into c (H,): the inverse of `one_hot`."""
-    b = check_array("weights", weights, "H W", (None, None))
-    if not ((b == 0) | (b == 1)).all() or (b.sum(axis=1) != 1).any():
-        raise ValueError("weights: expected a single 1 and otherwise 0 in every row")
-    return np.asarray(b.argmax(axis=1))
-
-
-@dataclass(frozen=True, eq=False)
-class SelectionProblem(Frozen):
-    """Which model to run at each step (``prob:model_selection_expectation``).
-
-    E[total](c) = alpha (mu_c'Psi mu_c + sum_t trace(Psi_tt Sigma[t,w_t]) + sum_t g_t'mu[t,w_t])
-                + beta (sum_t kappa[t, w_t] + sum_t sigma[w_{t-1}, w_t]),
-    the second sum the `perception_term`, without the constant alpha J(u*).  Errors must be
-    independent across steps; zero variance states known errors (``prob:model_selection``).  Where
-    p = 1, `mean` and `variance` both given transposed, (1, W, H), pose one step of H components:
-    this cannot be caught.
-    ``dataclasses.replace`` of a weight shares the arrays, and checks them no second time.
-
-    Parameters
-    ----------
-    psi : array_like, (pH, pH)
-        Sensitivity of the control cost, symmetric positive semidefinite; see `psi`.
-    mean : array_like, (H, W, p)
-        Mean error of each model at each step.
-    variance : array_like, (H, W, p) or (H, W, p, p)
-        Variance of each component, then uncorrelated, or covariance within a step.
-    model_cost : array_like, (W,) or (H, W)
-        Cost of running a model; ``inf`` where a model is not available.
-    alpha, beta : float
-        Weights >= 0 of control and perception cost (``eq:jtot``).
-    switch_cost : array_like, (W, W), optional
-        sigma[v, w] >= 0, perception cost of going from model v (row) to model w: loading, warm-up.
-        The diagonal is 0.
-    initial_model : int, optional
-        The model in memory before step 0; without one the first model is free to load.
-    budget : float, optional
-        The most that `perception_term`, unweighted and with all switches, may be.
-    pull : array_like, (H, p), optional
-        g: a known term sum_t g_t'mu[t, w_t] of the control cost, e.g. of a plan that goes on.
-
-    Raises
-    ------
-    ValueError
-        A wrong shape, a NaN, a negative variance or weight, an indefinite `psi`, a step at
-        which no model is available, or a budget that no schedule keeps: says what would do.
-
-    Examples
-    --------
-    Two steps; model 0 is free and off by 1, model 1 costs 2 and is right:
-
-    >>> mean = [[[1], [0]], [[1], [0]]]
-    >>> problem = SelectionProblem([[1.4, 0.8], [0.8, 0.6]], mean, np.zeros((2, 2, 1)), [0, 2])
-    >>> problem.total_cost([[0, 0], [0, 1], [1, 0], [1, 1]])
-    array([3.6, 3.4, 2.6, 4. ])
-    """
-
-    psi: Array
-    mean: Array
-    variance: Array
-    model_cost: Array
-    alpha: float = 1.0
-    beta: float = 1.0
-    _: KW_ONLY
-    switch_cost: Array | None = None
-    initial_model: int | None = None
-    budget: float | None = None
-    pull: Array | None = None
-
-    def __post_init__(self) -> None:
-        names = ("psi", "mean", "variance", "model_cost")
-        raw = {name: as_numbers(name, getattr(self, name)) for name in names}
-        Psi = check_array("psi", self.psi, "pH pH", 2 * (raw["psi"].shape[-1:] or (None,)))
-        shape = raw["mean"].shape
-        p = shape[-1] if len(shape) == 3 and shape[-1] and len(Psi) % shape[-1] == 0 else 1
-        mean = check_array("mean", self.mean, "H W p", (len(Psi) // p, None, p))
-        H, W, _ = mean.shape
-        axes = "H W p p" if raw["variance"].ndim == 4 else "H W p"
-        variance = check_array("variance", self.variance, axes, (H, W, p, p)[: len(axes.split())])
-        axes = "H W" if raw["model_cost"].ndim == 2 else "W"
-        sizes = (H, W)[-len(axes.split()) :]
-        cost = check_array("model_cost", self.model_cost, axes, sizes, finite=False)
-        if np.isneginf(cost).any() or np.isinf(cost).all(axis=-1).any():
-            raise ValueError("model_cost: expected a finite cost at every step, found none or -inf")
-        Psi = check_semidefinite("psi", Psi)
-        if variance.ndim == 4:
-            variance = check_semidefinite("variance", variance)
-        else:
-            check_range("variance", variance)
-        weights = {
-            name: check_number(name, getattr(self, name), minimum=0) for name in ("alpha", "beta")
-        }
-        self._set(psi=Psi, mean=mean, variance=variance, model_cost=cost, **weights)
-        self._check_beyond_the_paper(H, W, p)
-        with np.errstate(over="ignore", invalid="ignore"):
-            # By Cauchy and Schwarz, a bound on every |mu|'|alpha Psi||mu|, without Psi's square.
-            felt = np.sqrt(self.alpha * np.abs(Psi.diagonal())) @ np.abs(mean).max(axis=1).ravel()
-            largest = felt**2 + self.linear_size.sum() + self._most_spent * max(self.beta, 1)
-        if not largest < 1e300:
-            raise ValueError(
-                "psi: the costs overflow; rescale psi, mean, variance, the prices, alpha or beta"
-            )
-
-    def _check_beyond_the_paper(self, H: int, W: int, p: int) -> None:
-        """Check what moves cost, the model in memory, the pull and that the budget can be kept."""
-        if self.switch_cost is not None:
-            switch = check_array("switch_cost", self.switch_cost, "W W", (W, W))
-            check_range("switch_cost", switch)
-            if switch.diagonal().any():
-                raise ValueError("switch_cost: expected 0 on the diagonal, found others")
-            self._set(switch_cost=switch)
-        if self.initial_model is not None:
-            first = check_count("initial_model", self.initial_model, minimum=0)
-            if first >= W:
-                raise ValueError(f"initial_model: expected one of {W} models, found {first}")
-            self._set(initial_model=first)
-        if self.pull is not None:
-            self._set(pull=check_array("pull", self.pull, "H p", (H, p)))
-        if self.budget is not None:
-            self._set(budget=check_number("budget", self.budget))
-            cheapest = trellis.cheapest_path(self._price, self.switch_cost)
-            least = float(self.perception_term(cheapest))
-            if least > self._limit:
-                found = f"of at least {least!r}, which one schedule needs, found {self.budget!r}"
-                raise ValueError(f"budget: expected one {found}")
-
-    @cached_property
-    def quadratic(self) -> Array:
-        """Return alpha Psi, (pH, pH)."""
-        return frozen(self.alpha * self.psi)
-
-    @cached_property
-    def blocks(self) -> Array:
-        """Diagonal blocks Psi_tt, (H, p, p)."""
-        H, _, p = self.mean.shape
-        return frozen(self.psi.reshape(H, p, H, p)[np.arange(H), :, np.arange(H)])
-
-    @cached_property
-    def spread(self) -> Array:
-        """What the variances add to the control term, trace(Psi_tt Sigma[t,w]), (H, W)."""
-        return frozen(self._traces(self.blocks, self.variance))
-
-    @cached_property
-    def linear(self) -> Array:
-        """What single models cost, (H, W): variances, pull, prices, and going to the first model.
-
-        l[t,w] = alpha (trace(Psi_tt Sigma[t,w]) + g_t'mu[t,w]) + beta kappa[t,w], and at step 0
-        beta sigma[initial, w] more.
-        """
-        control = self.alpha * self.spread
-        if self.pull is not None:
-            control = control + self.alpha * self._pulled(self.pull, self.mean)
-        return frozen(control + self._priced(self._price, np.inf))
-
-    @cached_property
-    def linear_size(self) -> Array:
-        """The sizes of the terms that `linear` is summed from, (H, W); 0 where not available."""
-        size = self.alpha * self._traces(np.abs(self.blocks), np.abs(self.variance))
-        if self.pull is not None:
-            size = size + self.alpha * self._pulled(np.abs(self.pull), np.abs(self.mean))
-        return frozen(size + self._priced(np.abs(self._price), 0))
-
-    @cached_property
-    def _price(self) -> Array:
-        """What a model alone adds to `perception_term`, (H, W); inf where not available."""
-        H, W, _ = self.mean.shape
-        price = np.array(np.broadcast_to(self.model_cost, (H, W)))
-        if self.switch_cost is not None and self.initial_model is not None:
-            price[0] += self.switch_cost[self.initial_model]
-        return frozen(price)
-
-    @cached_property
-    def _most_spent(self) -> float:
-        """No schedule's `perception_term` is larger."""
-        price = np.abs(np.where(np.isinf(self._price), 0, self._price))
-        tolls = 0.0 if self.switch_cost is None else len(price) * self.switch_cost.max()
-        return float(price.max(axis=1).sum() + tolls)
-
-    @cached_property
-    def _limit(self) -> float:
-        """The most that a feasible schedule may spend."""
-        return math.inf if self.budget is None else self.budget + self._limit_slack
-
-    @property
-    def _limit_slack(self) -> float:
-        """1e-12 of the most that could be spent: sums in another order differ by less."""
-        return 1e-12 * self._most_spent
-
-    @cached_property
-    def form(self) -> trellis.Form:
-        """The bare arrays that the engines work on."""
-        form = trellis.Form(self.quadratic, self.mean, self.linear, self.linear_size)
-        switch, limited = self.switch_cost, self.budget is not None
-        if switch is not None and switch.any() and (self.beta > 0 or limited):
-            form = form._replace(arc=frozen(self.beta * switch), toll=switch if limited else None)
-        if limited:
-            price = frozen(np.where(np.isinf(self._price), 0, self._price))
-            form = form._replace(price=price, limit=self._limit)
-        return form
-
-    @staticmethod
-    def _pulled(pull: Array, mean: Array) -> Array:
-        return np.asarray(np.einsum("ti,twi->tw", pull, mean))
-
-    def _traces(self, blocks: Array, variance: Array) -> Array:
-        over = "tij,twji->tw" if variance.ndim == 4 else "tii,twi->tw"
-        return np.asarray(np.einsum(over, blocks, variance))
-
-    def _priced(self, cost: Array, missing: float) -> Array:
-        unavailable = np.isinf(cost)  # also where beta = 0
-        return np.where(unavailable, missing, self.beta * np.where(unavailable, 0, cost))
-
-    @cached_property
-    def rounding(self) -> float:
-        """How far rounding can move a cost near the optimum: that of the stepwise cheapest models.
-
-        Models nobody would use do not count, however wrong or dear they are.
-        """
-        return float(self.cost_rounding(stepwise_cost(self).argmin(axis=1)))
-
-    def chosen_mean(self, choices: npt.ArrayLike) -> Array:
-        """Stack the mean errors mu_c of `choices` (..., H) into vectors (..., pH)."""
-        c = self._check(choices)
-        return self.mean[np.arange(c.shape[-1]), c].reshape(*c.shape[:-1], -1)
-
-    def control_term(self, choices: npt.ArrayLike) -> Any:
-        """Return mu_c' Psi mu_c + sum_t trace(Psi_tt Sigma[t, w_t]) + sum_t g_t'mu[t, w_t].
-
-        Of `choices` (..., H), unweighted.
-        """
-        table = self.spread
-        if self.pull is not None:
-            table = table + self._pulled(self.pull, self.mean)
-        return self._total(self.psi, self.chosen_mean(choices), table, None, choices)
-
-    def perception_term(self, choices: npt.ArrayLike) -> Any:
-        """Return sum_t kappa[t,w_t] + sum_t sigma[w_{t-1},w_t] (``eq:jp``), `choices` (..., H)."""
-        return trellis.path_sum(self._price, self.switch_cost, self._check(choices))
-
-    def total_cost(self, choices: npt.ArrayLike) -> Any:
-        """Return alpha control_term + beta perception_term of `choices` (..., H)."""
-        mu = self.chosen_mean(choices)
-        return self._total(self.quadratic, mu, self.linear, self.form.arc, choices)
-
-    def is_feasible(self, choices: npt.ArrayLike) -> Any:
-        """Whether `choices` (..., H) are available and keep the budget, up to rounding."""
-        return self.perception_term(choices) <= min(self._limit, 1e308)
-
-    def cost_rounding(self, choices: npt.ArrayLike) -> Any:
-        """How far `total_cost` of `choices` (..., H) can be off: its terms' sizes, times k eps."""
-        mu, M = np.abs(self.chosen_mean(choices)), np.abs(self.quadratic)
-        unit = trellis.rounding_unit(M, self.mean)
-        return unit * self._total(M, mu, self.linear_size, self.form.arc, choices)
-
-    def exact_cost(self, choices: npt.ArrayLike) -> Fraction:
-        """Total cost of `choices` (H,), all available, in rational arithmetic on these floats."""
-        c, steps = self._check(choices), np.arange(len(self.mean))
-        chosen, mu = self.variance[steps, c], self.chosen_mean(choices)
-        Sigma = chosen if chosen.ndim == 3 else chosen[..., None] * np.eye(chosen.shape[-1])
-        control = trellis.exact_form(self.psi, mu)
-        control += trellis.exact_product(self.blocks, Sigma.swapaxes(-1, -2))
-        if self.pull is not None:
-            control += trellis.exact_product(self.pull.ravel(), mu)
-        paid = np.broadcast_to(self.model_cost, self.mean.shape[:2])[steps, c]
-        if self.switch_cost is not None:
-            paid = np.append(paid, self.switch_cost[c[:-1], c[1:]])
-            if self.initial_model is not None:
-                paid = np.append(paid, self.switch_cost[self.initial_model, c[0]])
-        return Fraction(self.alpha) * control + Fraction(self.beta) * sum(map(Fraction, paid))
-
-    def _total(
-        self, M: Array, mu: Array, table: Array, arc: Array | None, choices: npt.ArrayLike
-    ) -> Any:
-        return ((mu @ M) * mu).sum(axis=-1) + trellis.path_sum(table, arc, self._check(choices))
-
-    def _check(self, choices: npt.ArrayLike) -> Choices:
-        return check_choices(choices, *self.mean.shape[:2])
-
-
-def stepwise_cost(problem: SelectionProblem) -> Array:
-    """Cost (H, W) of each model at each step alone: alpha mu'Psi_tt mu + l, coupling ignored."""
-    own = np.einsum("twi,tij,twj->tw", problem.mean, problem.blocks, problem.mean)
-    return np.asarray(problem.alpha * own + problem.linear)
-
-
-def is_separable(problem: SelectionProblem) -> bool:
-    """Whether steps meet neither through Psi nor through switching costs or a budget."""
-    H, _, p = problem.mean.shape
-    felt = (problem.mean != 0).any(axis=1).ravel() & (problem.alpha != 0)
-    meets = ((problem.psi != 0) & felt[:, None] & felt).reshape(H, p, H, p).any(axis=(1, 3))
-    return problem.form.bare and not (meets & ~np.eye(H, dtype=bool)).any()
 
 
 # --------------------------------------------------------------- schedules and certificates
@@ -523,7 +228,7 @@ def check_certificate(problem: SelectionProblem, schedule: Schedule) -> float:
     bound, _ = reference_bound(problem, schedule.reference, schedule.multiplier)
     if not problem.is_feasible(schedule.choices):
         raise ValueError("schedule.choices: expected available models within the budget")
-    cost, rounding = _cost(problem, schedule.choices)
+    cost, rounding = problem._accurate_cost(schedule.choices)
     d = np.abs(schedule.reference)
     unit = trellis.rounding_unit(problem.quadratic, problem.mean)
     rounding += float(problem.cost_rounding(schedule.choices))  # Psi is semidefinite up to that
@@ -544,16 +249,6 @@ def check_certificate(problem: SelectionProblem, schedule: Schedule) -> float:
 # ------------------------------------------------------------------- solvers: what they share
 
 
-def _cost(problem: SelectionProblem, choices: Choices) -> tuple[float, float]:
-    """Cost of a schedule (H,), in fractions where digits cancel, and how far it may be off."""
-    cost, rounding = float(problem.total_cost(choices)), float(problem.cost_rounding(choices))
-    small = len(problem.psi) <= EXACT_SIZE
-    if not (small and EXACT_BELOW * abs(cost) < rounding and math.isfinite(cost)):
-        return cost, rounding
-    cost = float(problem.exact_cost(choices))
-    return cost, abs(cost) * trellis.EPS
-
-
 def _certified(
     problem: SelectionProblem,
     choices: Choices,
@@ -567,7 +262,7 @@ def _certified(
     As Psi is semidefinite, LB(0, 0) is a bound as well; without a pull so are the cheapest prices,
     as no trace(Psi_tt Sigma) is negative.
     """
-    cost, rounding = _cost(problem, choices)
+    cost, rounding = problem._accurate_cost(choices)
     points = ((point.reference, point.multiplier), (np.zeros(len(point.reference)), 0.0))
     root, d, multiplier = max(
         ((_certificate(problem, *pair).bound, *pair) for pair in points),
@@ -771,17 +466,12 @@ def relax_by_columns(
     """
     gap, time_left = check_number("gap", gap, minimum=0), _stopwatch(time_limit)
     most = check_count("max_iterations", max_iterations)
-    found = columns(
-        problem.form,
-        closes(gap, problem.rounding),
-        ceiling=math.inf,
-        time_left=time_left,
-        max_iterations=most,
-    )
-    return _mixture(problem.form, found)
+    closed = closes(gap, problem.rounding)
+    limits: dict[str, Any] = {"time_left": time_left, "max_iterations": most}
+    return _mixture(problem.form, column_generation.columns(problem.form, closed, **limits))
 
 
-def _mixture(form: trellis.Form, found: Columns | None) -> Relaxation:
+def _mixture(form: trellis.Form, found: column_generation.Columns | None) -> Relaxation:
     """Certify a mixture of schedules; where there is none, no schedule is below infinity."""
     if found is None:
         b = np.where(form.linear < np.inf, 1.0, 0.0)
@@ -805,7 +495,7 @@ def _relax(
     closed = closes(gap, problem.rounding)
     limits: dict[str, Any] = {"ceiling": ceiling, "time_left": time_left}
     if not form.bare:
-        return _mixture(form, columns(form, closed, **limits, max_iterations=300))
+        return _mixture(form, column_generation.columns(form, closed, **limits, max_iterations=300))
 
     def evaluate(b: Array) -> tuple[float, float, Array]:
         return trellis.relaxed(form, b)
@@ -842,30 +532,23 @@ def _start(
     point = _own_weights(problem, relaxation)
     choices, swaps = _swap(problem, point.weights.argmax(axis=1), time_left)
     if not problem.form.bare:  # rounding may break the budget, and swaps are weak beside arcs
+        form, lam = problem.form, point.multiplier
+        priced = trellis.slopes(form, point.reference, lam)[0], form.priced(lam)
         starts = [trellis.cheapest_path(problem._price, problem.switch_cost), choices]
-        starts.append(_path_at(problem, point))
+        starts.append(trellis.cheapest_path(*priced))
         swapped = [_swap(problem, c, time_left) for c in starts]
         legal = [pair for pair in swapped if problem.is_feasible(pair[0])] or [(starts[0], 0)]
-        choices, swaps = min(legal, key=lambda pair: _cost(problem, pair[0])[0])
+        choices, swaps = min(legal, key=lambda pair: problem._accurate_cost(pair[0])[0])
     return _certified(problem, choices, point, "round_and_swap", swaps=swaps)
 
 
-def _path_at(problem: SelectionProblem, point: Relaxation) -> Choices:
-    """Return the cheapest path at the prices of a point."""
-    form, lam = problem.form, point.multiplier
-    return trellis.cheapest_path(trellis.slopes(form, point.reference, lam)[0], form.priced(lam))
-
-
 def _swap(
-    problem: SelectionProblem, choices: Choices, time_left: Callable[[], float]
+    problem: SelectionProblem, choices: Choices, time_left: Callable[[], float], trials: int = 0
 ) -> tuple[Choices, int]:
-    """Swap single models, and intervals where moves cost something, while that helps; count."""
+    """Improve a schedule by more than rounding; count the changes of the first descent."""
     noise = max(problem.rounding, float(problem.cost_rounding(choices)))
-    choices, swaps = local_search.swap(problem.form, choices, noise, time_left)
-    if problem.form.arc is None or not problem.is_feasible(choices):
-        return choices, swaps
-    choices, blocks = local_search.swap_blocks(problem.form, choices, noise, time_left)
-    return choices, swaps + blocks
+    choices, changes = local_search.descend(problem.form, choices, noise, time_left)
+    return local_search.perturbed(problem.form, choices, trials, noise, time_left), changes
 
 
 # ----------------------------------------------------- solvers: dynamic programming on labels
@@ -960,8 +643,9 @@ def dynamic_program(
     for width in [*widths, max_labels]:
         if closed(cost, proved) or expired():
             break
-        if passes == 2 and not complete:
-            best, cost = _perturbed(problem, best, cost, time_left)
+        if passes == 2 and not complete and problem.form.toll is not None:
+            best, _ = _swap(problem, best, time_left, PERTURBATIONS)
+            cost = problem._accurate_cost(best)[0]
         if not steps:
             point = (d, first.multiplier)
             triangle = triangles.factor(problem.form, certificate, *point, cost - root)
@@ -979,7 +663,7 @@ def dynamic_program(
         labels, passes, complete, before = found.labels, passes + 1, found.complete, cost
         if found.choices is not None:
             better, _ = _swap(problem, found.choices, time_left)
-            if problem.is_feasible(better) and (lower := _cost(problem, better)[0]) < cost:
+            if problem.is_feasible(better) and (lower := problem._accurate_cost(better)[0]) < cost:
                 best, cost = better, lower
         summing = 4 * trellis.EPS * (abs(root) + abs(found.least))
         proved = max(proved, min(before, root + found.least - summing))
@@ -989,18 +673,6 @@ def dynamic_program(
     work = {"labels": labels, "passes": passes, "complete": complete}
     work["seconds"] = perf_counter() - started
     return _certified(problem, best, _point(first), "dynamic_program", proved, **work)
-
-
-def _perturbed(
-    problem: SelectionProblem, choices: Choices, cost: float, time_left: Callable[[], float]
-) -> tuple[Choices, float]:
-    """Look further for a first schedule where switching costs and a budget mislead swaps."""
-    form = problem.form
-    if form.arc is None or form.price is None:
-        return choices, cost
-    noise = max(problem.rounding, float(problem.cost_rounding(choices)))
-    better = local_search.perturbed(form, choices, PERTURBATIONS, noise, time_left)
-    return better, min(cost, _cost(problem, better)[0])
 
 
 def _slack(problem: SelectionProblem, choices: Choices, cost: float) -> float:
@@ -1078,7 +750,7 @@ def branch_and_bound(
                 heapq.heappush(queue, (bound, len(tree) - 1, child, undecided))
             candidate, _ = _swap(problem, rounded, time_left)
             legal = problem.is_feasible(candidate)
-            if legal and (lower_cost := _cost(problem, candidate)[0]) < cost:
+            if legal and (lower_cost := problem._accurate_cost(candidate)[0]) < cost:
                 best, cost = candidate, lower_cost
     lower = min([settled, cost, *(node[0] for node in queue[:1])])
     work = {"nodes": len(tree), "tree": tree, "seconds": perf_counter() - started}
@@ -1087,7 +759,7 @@ def branch_and_bound(
 
 def _at_least(problem: SelectionProblem, choices: Choices) -> float:
     """Return what a schedule costs at least, whatever rounding did."""
-    cost, rounding = _cost(problem, choices)
+    cost, rounding = problem._accurate_cost(choices)
     return cost - rounding
 
 
@@ -1225,136 +897,3 @@ def pareto_front(
         if spent - step < least - problem._limit_slack:
             return front
         now = replace(now, budget=max(spent - step, least))
-
-
-# ---------------------------------------------------------- what biased and noisy models cost
-
-
-@dataclass(frozen=True, eq=False)
-class ErrorCost:
-    """What each model would cost the controller if it ran at every step (see `error_cost`)."""
-
-    mean_square: Array  #: (W,), mean squared error per step: what model cards print
-    uncoupled: Array  #: (W,), sum_t trace(Psi_tt E[e_t e_t']): what follows from squared errors
-    bias: Array  #: (W,), mu'Psi mu
-    noise: Array  #: (W,), sum_t trace(Psi_tt Sigma_t)
-
-
-def error_cost(problem: SelectionProblem) -> ErrorCost:
-    """Split the control cost of each model into bias and noise, beside its mean squared error.
-
-    Noise costs what its square says: ``noise`` is part of ``uncoupled``.  A bias also meets
-    itself at other steps, through the blocks Psi_tk: it costs more than its square where the
-    products add up and less where they cancel, so two models of equal squared error can differ
-    either way.  bias + noise is the control term, unweighted and without a pull; uncoupled alone
-    is what greedy selection sees.
-    """
-    H, W, _ = problem.mean.shape
-    always = np.repeat(np.arange(W)[:, None], H, axis=1)
-    noise = problem.spread.sum(axis=0)
-    own = np.einsum("twi,tij,twj->w", problem.mean, problem.blocks, problem.mean)
-    variance = problem.variance
-    if variance.ndim == 4:
-        variance = np.diagonal(variance, axis1=-2, axis2=-1)
-    mean_square = (problem.mean**2 + variance).sum(axis=-1).mean(axis=0)
-    mu = problem.chosen_mean(always)
-    return ErrorCost(mean_square, own + noise, ((mu @ problem.psi) * mu).sum(axis=1), noise)
-
-
-def correlated_cost(
-    problem: SelectionProblem,
-    choices: npt.ArrayLike,
-    covariance: Callable[[int, int, int, int], npt.ArrayLike],
-) -> float:
-    """Return the exact expected total cost of `choices` (H,) whose errors correlate over time.
-
-    alpha (mu_c'Psi mu_c + sum_{t,k} sum(Psi_tk * Cov[e_t, e_k]) + g'mu_c) + beta perception_term,
-    an extension of ``eq:expTmp1``, whose assumption of independence keeps the terms t = k only.
-    covariance(t, w, k, v), (p, p) or a number where p = 1, is that of model w's error at step t
-    with model v's at step k, in the place of `problem.variance`.
-    """
-    H, W, p = problem.mean.shape
-    c = check_choices(choices, H, W)
-
-    def block(t: int, k: int) -> Array:
-        found = as_numbers("covariance", covariance(t, int(c[t]), k, int(c[k])))
-        found = found.reshape(1, 1) if p == 1 and found.ndim == 0 else found
-        return check_array("covariance", found, "p p", (p, p))
-
-    joint = np.block([[block(t, k) for k in range(H)] for t in range(H)])
-    check_semidefinite("covariance", joint)
-    mu = problem.chosen_mean(c)
-    control = mu @ problem.psi @ mu + (problem.psi * joint).sum()
-    control += 0.0 if problem.pull is None else problem.pull.ravel() @ mu
-    return float(problem.alpha * control + problem.beta * problem.perception_term(c))
-
-
-# --------------------------------------------------------------------- why it is hard (Remark)
-
-
-def partition_problem(integers: Sequence[int], information: str = "open_loop") -> SelectionProblem:
-    """Turn PARTITION of positive `integers` into model selection: the paper's open question.
-
-    One integrator x_{t+1} = x_t + B_t u_t + s_t with B_0 = 1 and then 0, R = 1, Q = 0, Q_final = 1
-    has Psi = 11'/2, for every pattern that foresees.  Let model 0 err by +a_t and model 1 by -a_t
-    at step t.  A schedule costs (sum_t +-a_t)^2 / 2 plus less than 1/4 for perception, so the
-    optimum is below 1/2 exactly if the integers split into two halves of equal sum: model
-    selection is NP-hard (Karp 1972), weakly: with offsets so few, `dynamic_program` is
-    pseudo-polynomial here.  The sum is at most 1e7, so that its square has its digits in a float.
-    """
-    check_array("integers", integers, "H", (None,))
-    a = [check_count("integers", value) for value in as_numbers("integers", integers)]
-    H = len(a)
-    if sum(a) > 1e7:
-        raise ValueError(f"integers: expected a sum of at most 1e7, found {sum(a)}")
-    one, B = np.ones((1, 1)), np.zeros((H, 1, 1))
-    B[0] = 1
-    task = ControlTask(one, B, one, 0 * one, one, H, Q_final=one)
-    mean = np.stack([a, np.negative(a)], axis=1)[:, :, None]
-    return SelectionProblem(
-        _foreseen_psi(task, information), mean, 0 * mean, np.array([0, 1 / (8 * H)])
-    )
-
-
-def maximum_cut_problem(
-    adjacency: npt.ArrayLike, information: str = "open_loop"
-) -> SelectionProblem:
-    """Turn MAXIMUM CUT of a graph on H nodes, `adjacency` (H, H) of 0 and 1, into model selection.
-
-    So model selection is strongly NP-hard where the state dimension may grow (Karp 1972).  Proof.
-    Let L be the graph's Laplacian, D = 2H I - L; the eigenvalues of L are at most H, so D >= H I.
-    Take n = H states that shift by one place a step, s_t entering at the first; so x_H holds s_t
-    in place H-1-t.  Let the control act at t = 0 only, on every place, with R = I; let Q = 0 and
-    let Q_final weigh these places by H D.  Then x_H = u + s up to order, and
-
-        Psi = H D (I + H D)^{-1} H D = H D - I + (I + H D)^{-1}.
-
-    With two free models that err by -1 and +1, a schedule is e in {-1, 1}^H: a side for each
-    node.  As e'L e = 4 cut(e) and e'e = H,
-
-        e'Psi e = H (2 H^2 - 4 cut(e)) - H + e'(I + H D)^{-1} e,
-
-    whose last term lies in (0, 1/2), while one more edge in the cut is worth 4H >= 4: the cheapest
-    schedule is a maximum cut, and no number is larger than a polynomial in H.
-    """
-    graph = as_numbers("adjacency", adjacency)
-    size = 2 * (graph.shape[-1:] or (None,))
-    graph = check_array("adjacency", graph, "H H", size)
-    if not np.isin(graph, (0, 1)).all() or graph.diagonal().any() or (graph != graph.T).any():
-        raise ValueError("adjacency: expected a symmetric matrix of 0 and 1 without loops")
-    H = len(graph)
-    D = 2 * H * np.eye(H) - (np.diag(graph.sum(axis=0)) - graph)
-    B = np.zeros((H, H, H))
-    B[0] = np.eye(H)
-    shift, entry = np.roll(np.eye(H), 1, axis=0), np.eye(H)[:, :1]
-    Q_final = H * D[::-1, ::-1]
-    task = ControlTask(shift, B, entry, np.zeros((H, H)), np.eye(H), H, Q_final=Q_final)
-    mean = np.tile([[-1.0], [1.0]], (H, 1, 1))
-    return SelectionProblem(_foreseen_psi(task, information), mean, 0 * mean, np.zeros(2))
-
-
-def _foreseen_psi(task: ControlTask, information: str) -> Array:
-    """Psi of a pattern with foresight; under the others steps decouple, and nothing is hard."""
-    foreseeing = [name for name, row in PATTERNS.items() if row.foresight]
-    check_name("information", information, foreseeing)
-    return psi(task, information)

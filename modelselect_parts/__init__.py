@@ -1,17 +1,22 @@
 """What the three modules stand on; each room uses only rooms above it.
 
-===============  ==============================================================================
-semidefinite     semidefinite matrices up to rounding: judged, mended, factored
-checks           the one checker of arguments, the types of array
-regulator        paper II: the task, its controllers, what each knows, and Psi
-trellis          the certificate, on bare arrays
-descent          projected gradient with its duality gap
-interior_point   the fast relaxation, on bare arrays
-label_search     the exact search, on bare arrays
-blends           paper V: Problem 4
-camera           pictures of a helipad
-networks         small networks and how they learn
-figures          every picture, from arrays
-flights          landing by what networks see in pictures
-===============  ==============================================================================
+================= ==============================================================================
+semidefinite      semidefinite matrices up to rounding: judged, mended, factored
+checks            the one checker of arguments, the types of array
+regulator         paper II: the task, its controllers, what each knows, and Psi
+trellis           the certificate, on bare arrays
+problem           paper III: which model to run at each step; what correlated errors cost
+hardness          why it is hard: PARTITION and MAXIMUM CUT as model selection
+descent           projected gradient with its duality gap
+interior_point    the fast relaxation, on bare arrays
+column_generation the relaxation where switching costs or a budget tie steps together
+local_search      better schedules by small changes
+triangle          what a schedule costs beyond its bound, as a sum over steps
+label_search      the exact search, on bare arrays
+blends            paper V: Problem 4
+camera            pictures of a helipad
+networks          small networks and how they learn
+figures           every picture, from arrays
+flights           landing by what networks see in pictures
+================= ==============================================================================
 """

@@ -120,6 +120,17 @@ def _of_interval(node: Array, arc: Array | None, c: Choices, w: int) -> Array:
     return np.where(_interval_sum(missing * 1.0) > 0, np.inf, change)
 
 
+def descend(
+    form: Form, choices: Choices, noise: float, time_left: Callable[[], float]
+) -> tuple[Choices, int]:
+    """Swap steps, and intervals where moves cost something, while that helps; count them."""
+    choices, swaps = swap(form, choices, noise, time_left)
+    if form.arc is None or _cost(form, choices) == math.inf:
+        return choices, swaps
+    choices, blocks = swap_blocks(form, choices, noise, time_left)
+    return choices, swaps + blocks
+
+
 def perturbed(
     form: Form, choices: Choices, trials: int, noise: float, time_left: Callable[[], float]
 ) -> Choices:
@@ -135,9 +146,7 @@ def perturbed(
         first, last = np.sort(rng.integers(0, H + 1, 2))
         c, w = best.copy(), rng.integers(W)
         c[first:last] = np.where(form.linear[:, w] < np.inf, w, best)[first:last]
-        c, _ = swap(form, c, noise, time_left)
-        if _cost(form, c) < math.inf:
-            c, _ = swap_blocks(form, c, noise, time_left)
+        c, _ = descend(form, c, noise, time_left)
         if time_left() <= 0:
             break
         if _cost(form, c) < cost - noise:
