@@ -625,10 +625,20 @@ def dynamic_program(
     `work` holds the labels kept at every step of the last pass, whether it was complete (a gap is
     then due to rounding), the passes and the seconds.
     """
-    time_left, started = _stopwatch(time_limit), perf_counter()
     max_labels = check_count("max_labels", max_labels, minimum=WIDTHS[0])
-    closed = closes(check_number("gap", gap, minimum=0), 0.0)
-    first = _start(problem, relaxation, time_left)
+    gap, time_left = check_number("gap", gap, minimum=0), _stopwatch(time_limit)
+    return _searched(problem, _start(problem, relaxation, time_left), gap, max_labels, time_left)
+
+
+def _searched(
+    problem: SelectionProblem,
+    first: Schedule,
+    gap: float,
+    max_labels: int,
+    time_left: Callable[[], float],
+) -> Schedule:
+    """Search pass by pass from a first schedule and its certificate."""
+    started, closed = perf_counter(), closes(gap, 0.0)
     best, cost, proved, d = first.choices, first.cost, first.root_bound, first.reference
     certificate = _certificate(problem, d, first.multiplier)
     root, purse = certificate.base, triangles.purse(problem.form, first.multiplier)
@@ -839,19 +849,14 @@ def solve(
     quick = _start(problem, relaxation, time_left)
     if quick.gap <= gap or time_left() <= 0:
         return quick
-
-    def limit() -> float | None:
-        return None if time_limit is None else max(0.0, time_left())
-
-    decoded = dynamic_program(
-        problem, time_limit=limit(), max_labels=max_labels, gap=gap, relaxation=relaxation
-    )
+    decoded = _searched(problem, quick, gap, max_labels, time_left)
     if decoded.gap <= gap or time_left() <= 0 or not (time_limit or decoded.work["complete"]):
         return decoded
-    options: dict[str, Any] = {"time_limit": limit(), "gap": gap, "relaxation": relaxation}
-    searched = branch_and_bound(problem, max_nodes=None if time_limit else 1000, **options)
-    best = min(decoded, searched, key=lambda schedule: schedule.cost)
-    bound = max(decoded.lower_bound, searched.lower_bound)
+    options: dict[str, Any] = {"gap": gap, "relaxation": relaxation}
+    limits = {"time_limit": max(0.0, time_left())} if time_limit else {"max_nodes": 1000}
+    split = branch_and_bound(problem, **options, **limits)
+    best = min(decoded, split, key=lambda schedule: schedule.cost)
+    bound = max(decoded.lower_bound, split.lower_bound)
     return replace(best, lower_bound=min(best.cost, bound))
 
 

@@ -100,7 +100,7 @@ def master(G: Array, cost: Array, spent: Array, limit: float) -> tuple[Array, fl
             break
         try:
             direction = _newton(P, E, dual, primal, v, z)
-        except la.LinAlgError:
+        except (la.LinAlgError, ValueError):  # the method has gone as far as digits go
             break
         dv, dy, dz = direction(-v * z)
         step = _inside(v, dv, z, dz)
@@ -117,12 +117,12 @@ def _newton(
 ) -> Callable[[Array], tuple[Array, Array, Array]]:
     """Return r -> dv, dy, dz with P dv - E'dy - dz = dual, E dv = primal, z dv + v dz = r."""
     system = la.cho_factor(P + np.diag(z / v))
-    back = la.cho_solve(system, E.T)
+    back = la.cho_solve(system, E.T, check_finite=False)
     small = la.cho_factor(E @ back)
 
     def direction(r: Array) -> tuple[Array, Array, Array]:
-        a = la.cho_solve(system, dual + r / v)
-        dy = la.cho_solve(small, primal - E @ a)
+        a = la.cho_solve(system, dual + r / v, check_finite=False)
+        dy = la.cho_solve(small, primal - E @ a, check_finite=False)
         dv = a + back @ dy
         return dv, dy, (r - z * dv) / v
 
