@@ -639,12 +639,12 @@ def _searched(
 ) -> Schedule:
     """Search pass by pass from a first schedule and its certificate."""
     started, closed = perf_counter(), closes(gap, 0.0)
-    best, cost, proved, d = first.choices, first.cost, first.root_bound, first.reference
-    certificate = _certificate(problem, d, first.multiplier)
-    root, purse = certificate.base, triangles.purse(problem.form, first.multiplier)
-    steps: list[triangles.Coordinates] = []
+    best, cost, proved = first.choices, first.cost, first.root_bound
+    form, point = problem.form, (first.reference, first.multiplier)
+    certificate = _certificate(problem, *point)
+    root, purse = certificate.base, triangles.purse(form, first.multiplier)
     labels, passes, complete = np.zeros(len(problem.mean), dtype=np.intp), 0, False
-    ahead = None
+    parts = ahead = None
 
     def expired() -> bool:
         return time_left() <= 0
@@ -653,19 +653,17 @@ def _searched(
     for width in [*widths, max_labels]:
         if closed(cost, proved) or expired():
             break
-        if passes == 2 and not complete and problem.form.toll is not None:
+        if passes == 2 and not complete and form.toll is not None:
             best, _ = _swap(problem, best, time_left, PERTURBATIONS)
             cost = problem._accurate_cost(best)[0]
-        if not steps:
-            point = (d, first.multiplier)
-            triangle = triangles.factor(problem.form, certificate, *point, cost - root)
-        excess = max(0.0, cost - root - triangle.constant)
         slack = _slack(problem, best, cost)
+        parts = parts or label_search.prepared(
+            form, certificate, *point, cost - root, slack, expired
+        )
+        triangle, least, steps = parts
+        excess = max(0.0, cost - root - triangle.constant)
         if not steps:
-            least = label_search.negligible_strength(triangle, excess, slack)
-            steps = triangles.compress(triangle, least, expired)
-            if not steps:
-                break
+            break
         if passes == 3 and not complete:
             ahead = label_search.prefix_bounds(triangle, steps, excess, slack, expired)
         lost = label_search.losses(triangle, steps, purse, excess, slack, least)
@@ -781,11 +779,11 @@ def _narrowed(
     Return the bound, the models left, and the step to split, which has a choice left if any has.
     """
     H, _, p = problem.mean.shape
+    if point.bound == math.inf:  # nothing below this node keeps the budget
+        return math.inf, allowed, 0
     form = problem.form._replace(linear=np.where(allowed, problem.linear, np.inf))
     found = trellis.certificate(form, point.reference, point.multiplier)
     bound, reduced = found.bound, found.reduced
-    if point.bound == math.inf:  # nothing below this node keeps the budget
-        return math.inf, allowed, 0
     narrowed = allowed & (reduced <= cost - bound)
     narrowed[np.arange(H), reduced.argmin(axis=1)] = True
     away = (problem.mean - point.reference.reshape(H, 1, p)) ** 2

@@ -22,6 +22,7 @@ import numpy as np
 import numpy.typing as npt
 
 from modelselect_parts.checks import Array, Choices, Mask
+from modelselect_parts.trellis import Certificate, Form
 from modelselect_parts.triangle import (
     EPS,
     FREE,
@@ -30,6 +31,7 @@ from modelselect_parts.triangle import (
     Triangle,
     compress,
     excess_of,
+    factor,
     segment,
 )
 
@@ -70,6 +72,21 @@ def negligible_strength(triangle: Triangle, excess: float, slack: float) -> floa
     H, _, p = triangle.deviation.shape
     root = math.sqrt(excess + slack)
     return slack / 8 / (2 * root * H * math.sqrt(p * H)) if root > 0 else 0.0
+
+
+def prepared(
+    form: Form,
+    found: Certificate,
+    d: Array,
+    multiplier: float,
+    excess: float,
+    slack: float,
+    expired: Callable[[], bool],
+) -> tuple[Triangle, float, list[Coordinates]]:
+    """Factor the excess over `found.base` of schedules up to this one; compress its offsets."""
+    triangle = factor(form, found, d, multiplier, excess)
+    least = negligible_strength(triangle, max(0.0, excess - triangle.constant), slack)
+    return triangle, least, compress(triangle, least, expired)
 
 
 def losses(

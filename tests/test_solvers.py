@@ -716,3 +716,9 @@ def test_projected_gradient_keeps_off_models_that_are_not_available_however_long
     assert point.weights[0].tolist() == [1, 0]
     assert point.value == pytest.approx(2.21875, rel=1e-6)
     assert ms.round_and_swap(problem, point).cost == 3
+
+
+def test_a_search_uses_all_the_labels_that_it_may_keep():
+    problem = landing_problem("open_loop", "model")
+    few, more = (ms.dynamic_program(problem, max_labels=most) for most in (64, 100))
+    assert few.work["labels"].max() == 64 < more.work["labels"].max() <= 100
