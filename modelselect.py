@@ -641,8 +641,8 @@ def _searched(
     started, closed = perf_counter(), closes(gap, 0.0)
     best, cost, proved = first.choices, first.cost, first.root_bound
     form, point = problem.form, (first.reference, first.multiplier)
-    certificate = _certificate(problem, *point)
-    root, purse = certificate.base, triangles.purse(form, first.multiplier)
+    given = _certificate(problem, *point)
+    root, purse = given.base, triangles.purse(form, first.multiplier)
     labels, passes, complete = np.zeros(len(problem.mean), dtype=np.intp), 0, False
     parts = ahead = None
 
@@ -657,9 +657,7 @@ def _searched(
             best, _ = _swap(problem, best, time_left, PERTURBATIONS)
             cost = problem._accurate_cost(best)[0]
         slack = _slack(problem, best, cost)
-        parts = parts or label_search.prepared(
-            form, certificate, *point, cost - root, slack, expired
-        )
+        parts = parts or label_search.prepared(form, given, point, cost - root, slack, expired)
         triangle, least, steps = parts
         excess = max(0.0, cost - root - triangle.constant)
         if not steps:
@@ -675,9 +673,8 @@ def _searched(
                 best, cost = better, lower
         summing = 4 * trellis.EPS * (abs(root) + abs(found.least))
         proved = max(proved, min(before, root + found.least - summing))
-        again = cost < before if found.complete else width < max_labels  # with less to give away
-        if not again:
-            break
+        if not (cost < before if found.complete else width < max_labels):
+            break  # again only with less to give away, or with room for more
     work = {"labels": labels, "passes": passes, "complete": complete}
     work["seconds"] = perf_counter() - started
     return _certified(problem, best, _point(first), "dynamic_program", proved, **work)

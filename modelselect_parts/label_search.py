@@ -77,14 +77,13 @@ def negligible_strength(triangle: Triangle, excess: float, slack: float) -> floa
 def prepared(
     form: Form,
     found: Certificate,
-    d: Array,
-    multiplier: float,
+    point: tuple[Array, float],
     excess: float,
     slack: float,
     expired: Callable[[], bool],
 ) -> tuple[Triangle, float, list[Coordinates]]:
-    """Factor the excess over `found.base` of schedules up to this one; compress its offsets."""
-    triangle = factor(form, found, d, multiplier, excess)
+    """Factor the excess over `found.base`, up to this one, at (d, lam); compress its offsets."""
+    triangle = factor(form, found, *point, excess)
     least = negligible_strength(triangle, max(0.0, excess - triangle.constant), slack)
     return triangle, least, compress(triangle, least, expired)
 
@@ -260,28 +259,33 @@ def search(
         y = (y @ step.carry.T).take(parent, axis=0)
         y += (deviation[t, models] @ step.push.T).take(child, axis=0)
         state = models[child] if states > 1 else np.zeros(len(child), dtype=np.intp)
-        spent = total[parent, child] if limited else spent
+        spent = total[parent, child] if limited else np.zeros(len(child))
         who = (state if states > 1 else None, spent if limited else None, purse.multiplier)
         kept = np.flatnonzero(undominated(extra, y, given.budget, given.merge, expired, *who))
         most = min(width, 64) if expired() else width  # out of time: finish on a narrow beam
         if len(kept) > most:
             dropped = min(dropped, float(extra[kept[most]] + before[t]))
         kept = kept[:most]
-        extra, y, state = extra[kept], y.take(kept, axis=0), state[kept]
-        spent = spent[kept] if limited else spent
+        extra, y, state, spent = extra[kept], y.take(kept, axis=0), state[kept], spent[kept]
         trail.append((parent[kept], models[child[kept]]))
     labels = np.array([len(models) for _, models in reversed(trail)], dtype=np.intp)
-    if limited:  # what is left of the limit is paid for; those a grain over it prove, and are none
+    if limited:  # what is left of the limit is paid for
         extra = extra + purse.multiplier * np.maximum(purse.limit - spent, 0)
-        extra_of_legal = np.where(spent <= purse.limit, extra, math.inf)
     least = min(given.budget, dropped, float(extra.min(initial=math.inf)))
-    final = extra_of_legal if limited else extra
-    found = bool((final < math.inf).any())
-    choices, label = np.empty(H, dtype=np.intp), int(final.argmin()) if found else 0
-    for t, (parent, models) in enumerate(reversed(trail) if found else ()):
-        choices[t], label = models[label], parent[label]
     least += triangle.constant - given.total
-    return Pass(choices if found else None, least, dropped == math.inf, labels)
+    legal = np.where(spent <= purse.limit, extra, math.inf)  # a grain over it proves, and is none
+    best = int(legal.argmin()) if (legal < math.inf).any() else None
+    choices = None if best is None else _traced(trail, best)
+    return Pass(choices, least, dropped == math.inf, labels)
+
+
+def _traced(trail: list[tuple[Choices, Choices]], label: int) -> Choices:
+    """Follow a label of step 0 to the last step, by parents and models of every step."""
+    choices = []
+    for parents, models in reversed(trail):
+        choices.append(models[label])
+        label = parents[label]
+    return np.array(choices, dtype=np.intp)
 
 
 def prefix_bounds(
