@@ -35,7 +35,7 @@ import io
 import math
 import sys
 import tempfile
-from collections.abc import Callable, Collection, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from json import dumps
 from pathlib import Path
@@ -51,7 +51,7 @@ import modelselect as ms
 import perception
 from modelselect import Array, Choices, ControlTask, Schedule, SelectionProblem
 from modelselect_parts import figures, flights
-from modelselect_parts.checks import check_choices, check_count, check_name, check_number, check_rng
+from modelselect_parts.checks import check_count, check_name, check_number
 from modelselect_parts.figures import STYLE
 from modelselect_parts.flights import (
     COSTS,
@@ -63,6 +63,7 @@ from modelselect_parts.flights import (
     model_cost,
     root_mean_square,
 )
+from modelselect_parts.rivals import pareto, policies
 from perception import MOUNT, SPREAD, PerceptionSuite, Trained
 
 Rng = np.random.Generator
@@ -185,6 +186,8 @@ NAMES: Any = {
     "information": ms.PATTERNS,
     "cost": COSTS,
 }
+#: Settings beyond the paper.
+LIMITS = ("switch_cost", "budget")
 
 
 @dataclass(frozen=True)
@@ -201,6 +204,8 @@ class Settings:
     upsilon: float | None = None  #: price of one model up; None: as the preset says
     cost: str = "linear"  #: of model w: w * upsilon, or its counted operations, with the same top
     seed: int = 0  #: of everything random
+    switch_cost: float = 0.0  #: perception cost of going from one model to another
+    budget: float | None = None  #: the most that perception may cost on a landing, with switches
 
     def __post_init__(self) -> None:
         for name, known in NAMES.items():
@@ -208,8 +213,10 @@ class Settings:
         for name, minimum in {"horizon": 1, "trials": 1, "seed": 0}.items():
             count = check_count(name, getattr(self, name), minimum=minimum)
             object.__setattr__(self, name, count)
-        for name in ("alpha", "beta", "upsilon")[: 2 + (self.upsilon is not None)]:
-            object.__setattr__(self, name, check_number(name, getattr(self, name), minimum=0))
+        for name in ("alpha", "beta", "upsilon", *LIMITS):
+            value = getattr(self, name)
+            if value is not None or name not in ("upsilon", "budget"):
+                object.__setattr__(self, name, check_number(name, value, minimum=0))
         if self.experiment == "trained" and self.preset != "textbook":
             raise ValueError(f"preset: the cameras need textbook altitudes, found {self.preset!r}")
         if self.experiment == "simulated" and self.cost != "linear":
@@ -247,32 +254,6 @@ class Result:
         return {policy: np.mean(flown[2:], axis=1) for policy, flown in self.flights.items()}
 
 
-def policies(
-    problem: SelectionProblem, optimal: Choices, errors: Iterable[Array], rng: Rng
-) -> dict[str, Choices | None]:
-    """Return the schedules (H,) of all policies, or (trials, H) where each trial has its own.
-
-    Oracle is that of the authors' code: no model, no error.  Clairvoyant is the Oracle of their
-    text: it knows the errors (H, W, p) of every trial beforehand and solves
-    ``prob:model_selection``.  Both are infeasible.  Random is one schedule for all trials, as in
-    their code.  Best Single (constant) and Greedy (each step alone, coupling ignored) are ours.
-    The schedule `optimal` (H,) is that of the solver.
-    """
-    H, W, _ = problem.mean.shape
-    constant = np.repeat(np.arange(W)[:, None], H, axis=1)
-    known = (replace(problem, mean=e, variance=np.zeros_like(problem.mean)) for e in errors)
-    return {
-        "Oracle": None,
-        "Clairvoyant": np.array([ms.solve(trial).choices for trial in known]),
-        "Optimal": check_choices(optimal, H, W),
-        "Best Single": constant[problem.total_cost(constant).argmin()],
-        "Greedy": ms.stepwise_cost(problem).argmin(axis=1),
-        "Random": check_rng(rng).integers(W, size=H),
-        "All Large": constant[-1],
-        "All Small": constant[0],
-    }
-
-
 def run_experiment(
     settings: Settings | None = None, *, trained: Trained | None = None, progress: bool = False
 ) -> Result:
@@ -290,10 +271,14 @@ def run_experiment(
     suite = EXPERIMENTS[run.experiment](landing, run, streams[0], trained)
     upsilon = landing.upsilon if run.upsilon is None else run.upsilon
     upsilon = cost_scale(Psi, suite) if upsilon is None else upsilon
-    if not math.isfinite(float(suite.cost.max()) * upsilon):
-        raise ValueError(f"upsilon: the costs overflow, found {upsilon:g}")
+    prices = ("upsilon", upsilon, suite.cost.max()), ("switch_cost", run.switch_cost, run.horizon)
+    for name, price, times in prices:
+        if not math.isfinite(price * float(times)):
+            raise ValueError(f"{name}: the costs overflow, found {price:g}")
     suite = replace(suite, cost=suite.cost * upsilon)
-    problem = SelectionProblem(Psi, suite.mean, suite.variance, suite.cost, run.alpha, run.beta)
+    posed = (Psi, suite.mean, suite.variance, suite.cost, run.alpha, run.beta)
+    switch_cost = run.switch_cost * (1 - np.eye(len(suite.names)))
+    problem = SelectionProblem(*posed, switch_cost=switch_cost, budget=run.budget)
     started = perf_counter()
     optimal = ms.solve(problem)
     seconds = perf_counter() - started
@@ -309,26 +294,6 @@ def run_experiment(
         flown[policy] = Flights(choices, altitude, control, paid, reward)
     used = replace(run, upsilon=upsilon)
     return Result(used, landing, suite, problem, optimal, seconds, flown, trained)
-
-
-def pareto(
-    problem: SelectionProblem, points: int = 40, *, progress: bool = False
-) -> tuple[Array, list[Schedule]]:
-    """Solve for `points` ratios r = alpha / beta (``fig:simulation_pareto``); return r and optima.
-
-    Let the schedule of least control term C have (C+, P+), and the cheapest (C-, P-).  As the
-    optimum at r has the least r C + P, its C exceeds C+ by at most (P+ - P-) / r, and its P
-    exceeds P- by at most r C-: so r = 0.01 (P+ - P-) / C- to 100 (P+ - P-) / C+ reaches both
-    ends to 1%.  Weighted sums find the corners of the front's convex hull, nothing in between.
-    """
-    points = check_count("points", points)
-    ends = [ms.solve(replace(problem, alpha=a, beta=1 - a)).choices for a in (1.0, 0.0)]
-    (least, most), (dear, cheap) = problem.control_term(ends), problem.perception_term(ends)
-    span, ratio = dear - cheap, np.ones(1)
-    if span > 0 and most > 0:  # else there is nothing to trade
-        ratio = np.geomspace(0.01 * span / most, 100 * span / max(least, 1e-6 * most), points)
-    bar = perception.with_bar(ratio, "Pareto front", progress)
-    return ratio, [ms.solve(replace(problem, alpha=r / (1 + r), beta=1 / (1 + r))) for r in bar]
 
 
 # --------------------------------------------------------------------- models trained on pictures
@@ -381,12 +346,17 @@ def judge_on_pictures(
     """Solve under a pattern without forecast, and fly policies of `FLOWN` in three ways.
 
     Guarded is optimal for the suite of `guard_suite`.  Inputs and Gaussian errors are those of
-    `run_experiment`, and Upsilon follows the rule for the Psi of the pattern `information`.
+    `run_experiment`, and Upsilon follows the rule for the Psi of the pattern `information`, to
+    which switching cost and budget keep their ratio.
     """
     for policy in policies:
         check_name("policies", policy, FLOWN)
     trained = _learned(result)
-    run = replace(result.settings, information=information, upsilon=None)
+    run, limits = result.settings, {}
+    if run.upsilon:
+        rule = cost_scale(ms.psi(result.landing.task, information), result.suite)
+        limits = {k: v and v * (rule / run.upsilon) for k, v in asdict(run).items() if k in LIMITS}
+    run = replace(run, information=information, upsilon=None, **limits)
     result = run_experiment(run, trained=trained)
     landing, problem, suite = result.landing, result.problem, result.suite
     _, inputs, gaussian, _, bootstrap = np.random.default_rng(run.seed).spawn(5)
@@ -397,7 +367,8 @@ def judge_on_pictures(
     choices["Guarded"] = ms.solve(flights.pose(problem, perception.guard_suite(suite))).choices
     bar = perception.with_bar(policies, f"Flights ({information})", progress)
     given = (landing, trained.networks, information, problem)
-    return result, {k: flights.judge(*given, choices[k], s, drawn, run.seed) for k in bar}
+    judged = (k for k in bar if k in choices)  # a budget leaves some out
+    return result, {k: flights.judge(*given, choices[k], s, drawn, run.seed) for k in judged}
 
 
 SIZES = (50, 100, 400, 897)
@@ -454,7 +425,10 @@ def published_log(settings: Settings, offset: int = 0) -> dict[str, Array]:
     offset = check_count("offset", offset, minimum=0)
     logged, table = PUBLISHED.get(settings.experiment, (None, {}))
     simulated = settings.experiment == "simulated"
-    if logged is None or (simulated and replace(settings, trials=100, seed=0) != logged):
+    most = 7 * settings.horizon * (settings.upsilon or 0)  # a budget of that never binds
+    limited = settings.switch_cost or (settings.budget is not None and settings.budget < most)
+    settings = replace(settings, trials=100, seed=0, budget=None)
+    if logged is None or limited or (simulated and settings != logged):
         return {}
     means = {}
     for policy, (control, units) in table.items():
@@ -475,7 +449,8 @@ def report(result: Result) -> str:
     rows = [flights.estimate(*flown[2:], ours - flown.reward) for flown in result.flights.values()]
     log = published_log(run)
     log = log if log and run.preset == PUBLISHED[run.experiment][0].preset else {}
-    given = (np.array(rows), log, run.trials, COSTS[run.cost])
+    price = COSTS[run.cost] + (f", {run.switch_cost:g} a switch" if run.switch_cost else "")
+    given = (np.array(rows), log, run.trials, price)
     lines = figures.table_of_policies(list(result.flights), *given)
     lines += [
         "",
@@ -484,8 +459,15 @@ def report(result: Result) -> str:
         f"gap {best.gap:.0e}, {'' if best.is_optimal else 'not '}proved optimal by {best.solver} "
         f"in {result.seconds:.2f} s.",
     ]
-    models = figures.table_of_models(suite.names, best.choices, suite.mean, suite.variance)
-    return "\n".join([*lines, *models])
+    if run.budget is not None:
+        spent = result.problem.perception_term(best.choices)
+        lines += [f"It spends {spent:.6g} of a budget of {run.budget:.6g}."]
+        missing = ", ".join(policy for policy in LOOK if policy not in result.flights)
+        lines += [f"Left out, as beyond the budget: {missing}."] if missing else []
+    lines += figures.table_of_models(suite.names, best.choices, suite.mean, suite.variance)
+    if run.switch_cost:
+        lines += [f"It switches {np.count_nonzero(np.diff(best.choices))} times."]
+    return "\n".join(lines)
 
 
 def percentages(result: Result) -> list[dict[str, Any]]:
@@ -539,7 +521,11 @@ def summary(result: Result) -> dict[str, Any]:
         "lower_bound": result.optimal.lower_bound,
         "gap": result.optimal.gap,
         "solve_seconds": result.seconds,
-        "settings": asdict(result.settings),
+        "settings": {
+            name: value
+            for name, value in asdict(result.settings).items()
+            if name not in LIMITS or value != getattr(Settings, name)
+        },
     }
 
 
@@ -705,8 +691,10 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser("landing.py", usage=argparse.SUPPRESS, description=about)
     for name, value in asdict(Settings()).items():
         kind, known = float if value is None else type(value), NAMES.get(name)
-        default = f"default: {'as the preset' if value is None else value}"
-        parser.add_argument(f"--{name}", type=kind, choices=known, default=value, help=default)
+        default = {"upsilon": "as the preset", "budget": "none"}.get(name, value)
+        flag = f"--{name.replace('_', '-')}"
+        about = f"default: {default}"
+        parser.add_argument(flag, type=kind, choices=known, default=value, help=about)
     parser.add_argument("--out", type=Path, default="figures", metavar="FOLDER")
     parser.add_argument("--json", type=Path, metavar="FILE")
     parser.add_argument("--no-figures", action="store_true")

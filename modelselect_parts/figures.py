@@ -150,7 +150,9 @@ def draw_landings(time: Any, altitude: Mapping[str, Array], unit: str) -> Figure
     """Draw mean and 90% band of altitudes (trials, H+1) by policy, beside the mean of Oracle."""
     figure, panels = plt.subplots(2, 4, sharex=True, figsize=(15, 7.5))
     ideal = altitude["Oracle"].mean(axis=0)
-    for axes, (policy, flown) in zip(panels.flat, altitude.items(), strict=True):
+    for axes in panels.flat[len(altitude) :]:
+        axes.set_visible(False)
+    for axes, (policy, flown) in zip(panels.flat, altitude.items(), strict=False):
         colour, band = POLICY_STYLE[policy]["color"], np.quantile(flown, (0.05, 0.95), axis=0)
         axes.fill_between(time, *band, color=colour, alpha=0.35)
         axes.plot(time, flown.mean(axis=0), color=colour)

@@ -827,6 +827,8 @@ ROWS: dict[str, tuple[Callable[..., Any], dict[str, Arg]]] = {
             "upsilon": number(2.0, "none"),
             "cost": word("linear"),
             "seed": count(7, "zero huge"),
+            "switch_cost": number(0.5),
+            "budget": number(2.0, "none"),
         },
     ),
     "Result.means": (lambda: flown().means(), {}),
