@@ -50,7 +50,7 @@ from scipy.signal import cont2discrete
 import modelselect as ms
 import perception
 from modelselect import Array, Choices, ControlTask, Schedule, SelectionProblem
-from modelselect_parts import figures, flights
+from modelselect_parts import figures, flights, tables
 from modelselect_parts.checks import check_count, check_name, check_number
 from modelselect_parts.figures import STYLE
 from modelselect_parts.flights import (
@@ -451,7 +451,7 @@ def report(result: Result) -> str:
     log = log if log and run.preset == PUBLISHED[run.experiment][0].preset else {}
     price = COSTS[run.cost] + (f", {run.switch_cost:g} a switch" if run.switch_cost else "")
     given = (np.array(rows), log, run.trials, price)
-    lines = figures.table_of_policies(list(result.flights), *given)
+    lines = tables.table_of_policies(list(result.flights), *given)
     lines += [
         "",
         f"Optimal: expected total {best.cost:.6e} (less alpha J(u*)), lower bound "
@@ -464,7 +464,7 @@ def report(result: Result) -> str:
         lines += [f"It spends {spent:.6g} of a budget of {run.budget:.6g}."]
         missing = ", ".join(policy for policy in LOOK if policy not in result.flights)
         lines += [f"Left out, as beyond the budget: {missing}."] if missing else []
-    lines += figures.table_of_models(suite.names, best.choices, suite.mean, suite.variance)
+    lines += tables.table_of_models(suite.names, best.choices, suite.mean, suite.variance)
     if run.switch_cost:
         lines += [f"It switches {np.count_nonzero(np.diff(best.choices))} times."]
     return "\n".join(lines)
@@ -480,7 +480,7 @@ def percentages(result: Result) -> list[dict[str, Any]]:
     sources["log at (w+1)*Upsilon"] = published_log(result.settings, 1)
     said = 3 + list(PUBLISHED).index(result.settings.experiment) if log else 0
     compared = [(*row[:3], row[said] if log else "") for row in COMPARISONS]
-    return figures.table_of_percentages(compared, QUANTITIES, sources)
+    return tables.table_of_percentages(compared, QUANTITIES, sources)
 
 
 def report_pictures(result: Result, *, progress: bool = False) -> str:
@@ -492,18 +492,18 @@ def report_pictures(result: Result, *, progress: bool = False) -> str:
     altitude, errors = flights.by_network(residuals)
     rms, edges, by_altitude = flights.errors_by_altitude(altitude, errors)
     sizes = np.array([(network.parameters, network.multiply_adds) for network in networks])
-    parts = [figures.table_of_errors(residuals.names, sizes, rms, edges, by_altitude)]
+    parts = [tables.table_of_errors(residuals.names, sizes, rms, edges, by_altitude)]
     within_reach = flights.sensitivities(result.landing.task)
     patterns = [name for name in within_reach if not ms.PATTERNS[name].foresight]
     for information in sorted(patterns, key=lambda name: name != run.information):
         flown = ("Optimal", "All Large", "All Small") if len(parts) > 1 else FLOWN
         _, found = judge_on_pictures(result, information, flown, progress=progress)
         compared = flights.compare(found, run.alpha, run.beta)
-        parts += [figures.table_of_regrets(information, list(found), *compared)]
+        parts += [tables.table_of_regrets(information, list(found), *compared)]
     counts = [n for n in SIZES if n <= len(altitude)]
     regret = sample_sizes(result, counts)
     shares = np.array([flights.estimate(*pair) for pair in regret])
-    parts += [figures.table_of_sizes(counts, shares, regret.shape[2], FRESH)]
+    parts += [tables.table_of_sizes(counts, shares, regret.shape[2], FRESH)]
     return "\n\n".join("\n".join(lines) for lines in parts)
 
 
