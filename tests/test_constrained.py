@@ -245,8 +245,21 @@ def test_a_front_without_time_says_where_it_ends():
         np.zeros((30, 3, 1)),
         [0.1, 0.21, 0.37],
     )
-    with pytest.warns(UserWarning, match="not proved from perception inf down"):
+    with pytest.warns(UserWarning, match="not proved from perception inf down to 3"):
         assert ms.pareto_front(problem, time_limit=0) == []
+
+
+@pytest.mark.parametrize("budget", [None, 4.0, 3.0])
+def test_a_front_tells_how_far_it_is(budget):
+    mean, told = np.array([2.0, 1, 0])[:, None] + np.zeros((6, 3, 1)), []
+    Psi = np.ones((6, 6)) + np.eye(6)
+    problem = SelectionProblem(Psi, mean, 0 * mean, [0.5, 1, 2], budget=budget)
+    front = ms.pareto_front(problem, progress=told.append)
+    spent = np.array([problem.perception_term(point.choices) for point in front])
+    assert told[-1] == 1 and told == sorted(told) and len(told) >= len(front)
+    assert spent[-1] == 3  # six times 0.5
+    shares = (spent[0] - spent) / max(spent[0] - 3, 1)
+    assert budget == 3 or all(min(abs(share - np.array(told))) < 1e-9 for share in shares)
 
 
 @given(SEEDS)

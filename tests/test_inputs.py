@@ -591,7 +591,10 @@ ROWS: dict[str, tuple[Callable[..., Any], dict[str, Arg]]] = {
     ),
     "pareto_front": (
         ms.pareto_front,
-        {"problem": PROBLEM, "resolution": number(30.0), "time_limit": LIMIT},
+        {
+            **{"problem": PROBLEM, "resolution": number(30.0), "time_limit": LIMIT},
+            "progress": function(float)._replace(valid="none"),
+        },
     ),
     "error_cost": (ms.error_cost, {"problem": PROBLEM}),
     "correlated_cost": (
