@@ -887,7 +887,7 @@ def pareto_front(
     tolls = 0.0 if problem.switch_cost is None else problem.switch_cost
     prices = np.append(problem._price[np.isfinite(problem._price)], tolls)
     whole = bool((prices == np.floor(prices)).all() and np.abs(prices).max() < 2**53)
-    step = max(resolution, 1.0 if whole else 4e-12 * problem._most_spent)
+    step = max(resolution, float(whole), 4 * problem._limit_slack)
     cheapest = trellis.cheapest_path(problem._price, problem.switch_cost)
     least, most = float(problem.perception_term(cheapest)), -math.inf
     budget = math.inf if problem.budget is None else problem.budget
