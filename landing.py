@@ -63,7 +63,8 @@ from modelselect_parts.flights import (
     model_cost,
     root_mean_square,
 )
-from modelselect_parts.rivals import pareto, policies
+from modelselect_parts.published import COMPARISONS, EXPERIMENT_1, EXPERIMENT_2
+from modelselect_parts.rivals import Front, pareto, policies, whole_front
 from perception import MOUNT, SPREAD, PerceptionSuite, Trained
 
 Rng = np.random.Generator
@@ -248,6 +249,7 @@ class Result:
     seconds: float  #: that `modelselect.solve` took
     flights: dict[str, Flights]  #: by policy
     trained: Trained | None = None  #: the networks of experiment ``trained``
+    front: Front | None = None  #: all Pareto points, where they were asked for
 
     def means(self) -> dict[str, Array]:
         """Means over trials (3,) of control cost, perception cost and reward, by policy."""
@@ -388,33 +390,11 @@ def sample_sizes(
 
 # ---------------------------------------------------------------------------------- the report
 
-#: Means of 100 trials that the authors logged of experiment 1, and of 2: control cost, and
-#: perception cost in Upsilon at w + 1 for model w.
-LOGGED = {
-    "Oracle": ((5.189117e15, 0), (5.189117e15, 0)),
-    "Optimal": ((7.299417e15, 628), (5.200365e15, 664)),
-    "Random": ((4.871516e16, 664), (7.178464e15, 670)),
-    "All Large": ((5.190354e15, 1200), (5.924078e15, 1200)),
-    "All Small": ((4.915508e17, 150), (1.885632e16, 150)),
-}
-EXPERIMENT_1, EXPERIMENT_2 = ({policy: row[k] for policy, row in LOGGED.items()} for k in (0, 1))
+#: Settings of the runs that the authors logged, and what they logged.
 PUBLISHED = {
     "simulated": (Settings(upsilon=1e14), EXPERIMENT_1),
     "trained": (Settings(upsilon=1e10, alpha=0.6, beta=0.4), EXPERIMENT_2),
 }
-#: Quantity, new, old; what the paper prints of (new - old) / |old| in experiment 1, and in 2.
-COMPARISONS = (
-    ("control_cost", "Optimal", "Random", "", ""),
-    ("control_cost", "Random", "Optimal", "567.18% lower", "38.04% lower"),
-    ("perception_cost", "Optimal", "Random", "", ""),
-    ("perception_cost", "All Large", "Random", "80.72% less", "79.1% less"),
-    ("reward", "Optimal", "Random", "", ""),
-    ("control_cost", "Optimal", "All Large", "", ""),
-    ("perception_cost", "Optimal", "All Large", "", ""),
-    ("reward", "Optimal", "All Large", "", ""),
-    ("reward", "All Large", "Optimal", "53.26% better", "13.97% better"),
-    ("reward", "Oracle", "Optimal", "77% far from Oracle", "0.3% far from Oracle"),
-)
 
 
 def published_log(settings: Settings, offset: int = 0) -> dict[str, Array]:
@@ -467,6 +447,7 @@ def report(result: Result) -> str:
     lines += tables.table_of_models(suite.names, best.choices, suite.mean, suite.variance)
     if run.switch_cost:
         lines += [f"It switches {np.count_nonzero(np.diff(best.choices))} times."]
+    lines += tables.table_of_front(result.front) if result.front else []
     return "\n".join(lines)
 
 
@@ -515,18 +496,16 @@ def summary(result: Result) -> dict[str, Any]:
         for quantity, (mean, half) in zip(QUANTITIES, rows, strict=True):
             interval = None if math.isnan(half) else [mean - half, mean + half]
             policies[policy] |= {quantity: mean, f"{quantity}_interval": interval}
+    used = asdict(result.settings).items()
+    front = result.front and {k: np.asarray(v).tolist() for k, v in result.front._asdict().items()}
     return {
         "policies": policies,
         "schedule": result.optimal.choices.tolist(),
         "lower_bound": result.optimal.lower_bound,
         "gap": result.optimal.gap,
         "solve_seconds": result.seconds,
-        "settings": {
-            name: value
-            for name, value in asdict(result.settings).items()
-            if name not in LIMITS or value != getattr(Settings, name)
-        },
-    }
+        "settings": {k: v for k, v in used if k not in LIMITS or v != getattr(Settings, k)},
+    } | ({"front": front} if front else {})
 
 
 # ------------------------------------------------------------------------------------- figures
@@ -545,10 +524,16 @@ def plot_schedule(result: Result) -> Figure:
     return figures.draw_schedule(choices, result.suite.names, matters, title, result.landing.dt)
 
 
+def _axis(result: Result) -> str:
+    """Name perception cost, with what it is the sum of."""
+    label = PRICE[result.settings.cost]
+    return label.replace(")", " and switches)") if result.settings.switch_cost else label
+
+
 def plot_costs(result: Result) -> Figure:
     """Draw perception against control cost, with 95% intervals (``fig:simulation_CvL``)."""
     paid, control = _estimates(result, "perception_cost"), _estimates(result, "control_cost")
-    return figures.draw_costs(list(result.flights), paid, control, result.settings.cost)
+    return figures.draw_costs(list(result.flights), paid, control, _axis(result))
 
 
 def plot_rewards(result: Result) -> Figure:
@@ -568,7 +553,18 @@ def plot_pareto(result: Result, optima: Sequence[Schedule] | None = None) -> Fig
     schedules = ([optimum.choices for optimum in optima], [np.asarray(c) for c in fixed.values()])
     front, points = (np.transpose([term(c) for term in terms]) for c in schedules)
     proved = sum(optimum.is_optimal for optimum in optima)
-    return figures.draw_front(front, proved, list(fixed), points, result.settings.cost)
+    return figures.draw_front(front, proved, list(fixed), points, _axis(result))
+
+
+def plot_front(result: Result) -> Figure:
+    """Draw all Pareto points of a result that has them, and the constant schedules."""
+    if result.front is None:
+        raise ValueError("result: expected one with a front, found none")
+    problem, (H, W, _) = result.problem, result.problem.mean.shape
+    always = np.repeat(np.arange(W)[:, None], H, axis=1)
+    constant = np.array([problem.perception_term(always), problem.control_term(always)]).T
+    given = (result.suite.names, constant, _axis(result))
+    return figures.draw_all_points(*result.front, *given)
 
 
 def plot_landing(result: Result) -> Figure:
@@ -635,6 +631,8 @@ def write_figures(result: Result, folder: Path, *, progress: bool = False) -> No
         "efficientnet": plot_efficientnet(),
         "psi": plot_psi(result.landing.task),
     }
+    if result.front:
+        drawn["front"] = plot_front(result)
     if result.trained:
         drawn |= {
             "gallery": plot_gallery(result.settings.seed),
@@ -695,6 +693,8 @@ def _parser() -> argparse.ArgumentParser:
         flag = f"--{name.replace('_', '-')}"
         about = f"default: {default}"
         parser.add_argument(flag, type=kind, choices=known, default=value, help=about)
+    about = "find all Pareto points, or as many as so many seconds prove"
+    parser.add_argument("--front", type=float, metavar="SECONDS", help=about)
     parser.add_argument("--out", type=Path, default="figures", metavar="FOLDER")
     parser.add_argument("--json", type=Path, metavar="FILE")
     parser.add_argument("--no-figures", action="store_true")
@@ -712,12 +712,17 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.set_defaults(**DEFAULTS.get(first, {}))
     options = vars(parser.parse_args(argv))
     out, path, bare, quiet = (options.pop(key) for key in ("out", "json", "no_figures", "quiet"))
+    seconds = options.pop("front")
     try:
         settings = Settings(**options)
         learns = settings.experiment == "trained"
+        seconds is None or check_number("front", seconds, minimum=0)
         check_targets(None if bare and not learns else out, path)
         trained = learn(settings.seed, out, progress=not quiet) if learns else None
         result = run_experiment(settings, trained=trained, progress=not quiet)
+        if seconds is not None:
+            front = whole_front(result.problem, seconds, progress=not quiet)
+            result = replace(result, front=front)
         if not quiet:
             print(report(result))
         if trained:

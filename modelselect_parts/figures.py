@@ -92,12 +92,12 @@ def draw_schedule(
 
 
 @in_our_style()
-def draw_costs(policies: Sequence[str], perception: Array, control: Array, cost: str) -> Figure:
-    """Draw estimates (policies, 2) of perception against control cost, by `PERCEPTION_AXIS`."""
+def draw_costs(policies: Sequence[str], perception: Array, control: Array, axis: str) -> Figure:
+    """Draw estimates (policies, 2) of perception cost, which `axis` names, against control."""
     figure, axes = plt.subplots()
     for policy, x, y in zip(policies, perception, control, strict=True):
         _draw_estimate(axes, policy, x, y)
-    axes.set(xlabel=PERCEPTION_AXIS[cost], ylabel="control cost")
+    axes.set(xlabel=axis, ylabel="control cost")
     axes.set_title("Lower left is better")
     axes.set(yscale=_log_if_positive(control[:, 0]))
     figure.legend(loc="outside right upper")
@@ -122,7 +122,7 @@ def draw_rewards(policies: Sequence[str], reward: Array) -> Figure:
 
 @in_our_style()
 def draw_front(
-    front: Array, proved: int, policies: Sequence[str], points: Array, cost: str
+    front: Array, proved: int, policies: Sequence[str], points: Array, axis: str
 ) -> Figure:
     """Draw a front (n, 2) of perception and extra control cost, and policies (policies, 2).
 
@@ -133,10 +133,45 @@ def draw_front(
     axes.plot(*front.T, "k.-", label=label)
     for policy, (x, y) in zip(policies, points, strict=True):
         axes.plot(x, y, ls="", label=policy, **POLICY_STYLE[policy])
-    axes.set(xlabel=PERCEPTION_AXIS[cost], ylabel="extra control cost")
+    axes.set(xlabel=axis, ylabel="extra control cost")
     axes.set(yscale=_log_if_positive(front[:, 1]))
     claim = "No schedule beats the front in both costs"
     axes.set_title(claim if proved == len(front) else "The best schedules found")
+    figure.legend(loc="outside right upper")
+    return figure
+
+
+@in_our_style()
+def draw_all_points(
+    points: Array,
+    corner: npt.NDArray[np.bool_],
+    missed: Array,
+    left: str,
+    names: Sequence[str],
+    constant: Array,
+    axis: str,
+) -> Figure:
+    """Draw Pareto points (n, 2), corners of their hull apart, and each model throughout (W, 2).
+
+    Below, by what share (n,) the best corner that spends no more is dearer: `missed`.  The title
+    says what is `left` open.
+    """
+    figure, (top, bottom) = plt.subplots(2, sharex=True, height_ratios=[5, 2])
+    label = f"{corner.sum()} corners: optimal\nat some $\\alpha:\\beta$"
+    top.plot(*points[corner].T, "o", color=ACCENT, ms=7, label=label)
+    top.plot(
+        *points[~corner].T, "k.", ms=4, label=f"{(~corner).sum()} points between:\nby budgets only"
+    )
+    top.plot(*constant.T, ls="", **POLICY_STYLE["Best Single"], label="one model\nthroughout")
+    for name, *point in zip(names, constant[:, 0], constant[:, 1], strict=True):
+        top.annotate(name, tuple(point), (10, 4), textcoords="offset points")
+    top.set(ylabel="extra control cost", xmargin=0.1, ymargin=0.1)
+    top.set(yscale=_log_if_positive(np.concatenate([points, constant])[:, 1]))
+    title = f"Weights reach {corner.sum()} of {len(points)} Pareto points"
+    top.set_title(f"{title}\n({left})" if left else title)
+    bottom.plot(points[:, 0], 100 * missed, "k-", lw=1)
+    bottom.set(xlabel=axis, ylabel="weights\ndearer (%)")
+    bottom.locator_params(axis="x", nbins=6)
     figure.legend(loc="outside right upper")
     return figure
 

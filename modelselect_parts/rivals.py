@@ -1,14 +1,17 @@
 """Rivals: whom the optimum is compared with, and what the trade between the two costs looks like.
 
-Eight policies, of which six obey the limits of the problem, and the sweep of weights (figure
-``fig:simulation_pareto``).
+Eight policies that obey the limits of the problem; the sweep of weights
+(``fig:simulation_pareto``); and all Pareto points, of which a sweep sees the corners.
 """
 
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Callable, Iterable
 from dataclasses import replace
+from itertools import islice
+from typing import NamedTuple
 
 import numpy as np
 
@@ -16,7 +19,13 @@ import modelselect as ms
 import perception
 from modelselect import Array, Choices, Schedule, SelectionProblem
 from modelselect_parts import trellis
-from modelselect_parts.checks import check_choices, check_count, check_rng
+from modelselect_parts.checks import (
+    Mask,
+    check_choices,
+    check_count,
+    check_number,
+    check_rng,
+)
 
 Rng = np.random.Generator
 CONSTANT = ("Best Single", "All Large", "All Small")
@@ -100,3 +109,46 @@ def pareto(
         ratio = np.geomspace(0.01 * span / most, 100 * span / max(least, 1e-6 * most), points)
     bar = perception.with_bar(ratio, "Pareto front", progress)
     return ratio, [ms.solve(replace(problem, alpha=r / (1 + r), beta=1 / (1 + r))) for r in bar]
+
+
+class Front(NamedTuple):
+    """All Pareto points, the cheapest to run first."""
+
+    points: Array  #: (n, 2), perception and control term
+    corner: Mask  #: (n,), whether some alpha : beta leads there
+    missed: Array  #: (n,), by what share the best corner that spends no more costs control more
+    left: str  #: what a time limit left open, or nothing
+
+
+def whole_front(problem: SelectionProblem, seconds: float, *, progress: bool = False) -> Front:
+    """Find all Pareto points that `pareto_front` proves in so many `seconds`."""
+    seconds = check_number("seconds", seconds, minimum=0)
+    bar, done = iter(perception.with_bar(range(100), "All Pareto points", progress)), 0
+
+    def tell(share: float) -> None:
+        nonlocal done
+        done += sum(1 for _ in islice(bar, int(100 * share) - done))
+
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        found = ms.pareto_front(problem, time_limit=seconds, progress=tell)[::-1]
+    terms = [(problem.perception_term(point.choices), point.cost) for point in found]
+    points = np.reshape(np.array(terms), (-1, 2))
+    corner, control = _corners(points), points[:, 1]
+    best = np.minimum.accumulate(np.where(corner, control, np.inf))
+    missed = np.divide(best - control, control, out=np.zeros(len(points)), where=control > 0)
+    said = [str(warning.message).removeprefix("pareto_front: ") for warning in caught]
+    return Front(points, corner, missed, "; ".join(said))
+
+
+def _corners(points: Array) -> Mask:
+    """Whether each of `points` (n, 2), of ascending x, is a corner of the convex hull below them.
+
+    So it is if the steepest way to it from the left is steeper than the flattest on to the right.
+    """
+    (x, y), left = np.reshape(points, (-1, 2)).T, np.tri(len(points), k=-1, dtype=bool)
+    with np.errstate(divide="ignore", invalid="ignore"):  # from a point to itself
+        slope = np.subtract.outer(y, y) / np.subtract.outer(x, x)
+    arriving = np.where(left, slope, -np.inf).max(axis=1, initial=-np.inf)
+    leaving = np.where(left.T, slope, np.inf).min(axis=1, initial=np.inf)
+    return np.asarray(arriving < leaving)

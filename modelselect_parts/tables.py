@@ -59,6 +59,21 @@ def table_of_models(
     ]
 
 
+def table_of_front(front: tuple[Array, npt.NDArray[np.bool_], Array, str]) -> list[str]:
+    """Count Pareto points (n, 2) and corners (n,); say what corners miss (n,) and what is open."""
+    points, corner, missed, left = front
+    reached = f"{corner.sum()} of them corners, which weights alpha : beta reach"
+    lines = [
+        f"Pareto points: {len(points)} proved, {reached}.",
+        *([f"Open: {left}; this is of what is above."] if left else []),
+    ]
+    if len(points):
+        worst = missed.argmax()
+        where = f"within a budget of {points[worst, 0]:.6g}"
+        lines += [f"The best corner costs control up to {100 * missed[worst]:.2g}% more, {where}."]
+    return lines
+
+
 def table_of_errors(
     names: Sequence[str], sizes: Array, error: Array, edges: Array, by_altitude: Array
 ) -> list[str]:

@@ -32,6 +32,7 @@ POOLS = {
     "--upsilon": [*WEIGHTS, "1e14", "None"],
     "--switch-cost": WEIGHTS,
     "--budget": [*WEIGHTS, "1e14", "none"],
+    "--front": ["0", "0.1", "-1", "nan", "inf", "all"],
     "--cost": ["linear", "counted", "free"],
     "--seed": [*COUNTS, "123456789012345678901234567890"],
     "--out": ["out", "new/er", "file", "file/below", "", "a\0b", "x" * 300],

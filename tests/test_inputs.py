@@ -338,6 +338,12 @@ def flown():
 
 
 @cache
+def fronted():
+    """That run with all its Pareto points."""
+    return dataclasses.replace(flown(), front=landing.whole_front(flown().problem, 60))
+
+
+@cache
 def seen():
     """A run of the second experiment with two tiny networks."""
     chosen = {"experiment": "trained"} | landing.DEFAULTS["trained"]
@@ -866,6 +872,10 @@ ROWS: dict[str, tuple[Callable[..., Any], dict[str, Arg]]] = {
         landing.pareto,
         {"problem": PROBLEM, "points": count(2), "progress": FLAG},
     ),
+    "whole_front": (
+        landing.whole_front,
+        {"problem": PROBLEM, "seconds": number(60.0), "progress": FLAG},
+    ),
     "model_cost": (
         landing.model_cost,
         {"networks": record(lambda: [network()]), "cost": word("counted")},
@@ -935,6 +945,10 @@ ROWS: dict[str, tuple[Callable[..., Any], dict[str, Arg]]] = {
         landing.plot_pareto,
         {"result": FLOWN, "optima": record(lambda: [flown().optimal], "none")},
     ),
+    "plot_front": (
+        landing.plot_front,
+        {"result": record(fronted)},
+    ),
     "plot_landing": (landing.plot_landing, {"result": FLOWN}),
     "plot_efficientnet": (landing.plot_efficientnet, {}),
     "plot_psi": (landing.plot_psi, {"task": Arg("result", fresh=task)}),
@@ -969,7 +983,7 @@ ROWS: dict[str, tuple[Callable[..., Any], dict[str, Arg]]] = {
 RECORDS = {
     *("Riccati", "Pattern", "Schedule", "Relaxation", "Node", "ErrorCost", "Blend"),
     *("ModelTable", "Scene", "Layer", "Network", "Trained"),
-    *("Preset", "Flights", "Result", "Regret"),
+    *("Preset", "Flights", "Result", "Regret", "Front"),
 }
 
 

@@ -570,6 +570,122 @@ def test_nothing_to_trade_makes_a_front_of_one_point():
     assert len(ratio) == len(optima) == 1 and optima[0].cost == 0
 
 
+# ------------------------------------------------------------------------------ all Pareto points
+
+
+def unbeaten(problem):
+    """Perception and control term of the schedules that no other beats in both, by enumeration."""
+    schedules = [c for c in product(range(3), repeat=4) if problem.is_feasible(c)]
+    terms = sorted((spending(problem, c), float(problem.control_term(c))) for c in schedules)
+    best, kept = math.inf, []
+    for paid, control in terms:
+        if control < best * (1 - 1e-9):
+            best, kept = control, [*kept, (paid, control)]
+    return kept
+
+
+def led_to(points):
+    """The points that are cheapest at some ratio: tried between all slopes there are."""
+    pairs = [(a, b) for a in points for b in points if a[0] < b[0]]
+    slopes = sorted((a[1] - b[1]) / (b[0] - a[0]) for a, b in pairs)
+    tried = [0.0, *((a + b) / 2 for a, b in pairwise(slopes)), *(2 * s for s in slopes[-1:])]
+    return {min(points, key=lambda point: r * point[0] + point[1]) for r in tried} | {points[0]}
+
+
+@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("limits", [{}, {"switch_cost": SWITCHES}, {"budget": 4.2}])
+def test_all_points_are_those_that_no_schedule_beats_and_corners_those_that_weights_reach(
+    seed, limits
+):
+    problem = small_problem(seed, **limits)
+    front, points = landing.whole_front(problem, 60), unbeaten(problem)
+    np.testing.assert_allclose(front.points, points, rtol=1e-8, atol=1e-9)
+    assert front.left == "" and len(points) > 2
+    assert front.corner.tolist() == [point in led_to(points) for point in points]
+    for k, (_, control) in enumerate(points):
+        affordable = [points[j][1] for j in range(k + 1) if front.corner[j]]
+        assert front.missed[k] == pytest.approx(min(affordable) / control - 1, abs=1e-8)
+    on_corners = front.points[front.corner]
+    for optimum in pareto(problem, 12)[1]:
+        terms = problem.perception_term(optimum.choices), problem.control_term(optimum.choices)
+        assert np.isclose(on_corners, terms, rtol=1e-8, atol=1e-9).all(axis=1).any()
+
+
+@pytest.fixture(scope="module")
+def fronted():
+    """A landing with all its Pareto points."""
+    run = run_experiment(Settings(preset="textbook", horizon=6, trials=2, switch_cost=3.0))
+    return replace(run, front=landing.whole_front(run.problem, 60))
+
+
+def test_the_report_counts_corners_and_says_what_they_miss(fronted):
+    points, corner, missed, left = fronted.front
+    text, worst = report(fronted), missed.argmax()
+    assert left == "" and 2 <= corner.sum() < len(points) and missed[worst] > 0
+    assert f"Pareto points: {len(points)} proved, {corner.sum()} of them corners" in text
+    assert f"up to {100 * missed[worst]:.2g}% more, within a budget of " in text
+    assert f"budget of {points[worst, 0]:.6g}." in text and "Open" not in text
+    assert "Pareto" not in report(replace(fronted, front=None))
+
+
+def test_what_a_time_limit_leaves_open_is_said(fronted):
+    cut = replace(fronted, front=landing.whole_front(preset_problem(), 0))
+    assert cut.front.left == "not proved from perception inf down to 0"
+    assert "Pareto points: 0 proved" in report(cut)
+    assert "Open: not proved from perception inf down to 0" in report(cut)
+    figure = landing.plot_front(cut)
+    assert "not proved from perception inf" in figure.axes[0].get_title()
+    plt.close(figure)
+
+
+def preset_problem():
+    """A landing that is not proved in no time."""
+    return run_experiment(Settings(preset="textbook", horizon=30, trials=1)).problem
+
+
+def test_front_figure_shows_corners_points_between_and_constants(fronted):
+    figure, (points, corner, missed, _) = landing.plot_front(fronted), fronted.front
+    top, bottom = figure.axes
+    drawn = [line.get_xydata() for line in top.lines]
+    constant = [
+        (f(np.full(6, w)))
+        for w in range(8)
+        for f in (fronted.problem.perception_term, fronted.problem.control_term)
+    ]
+    for line, expected in zip(drawn, (points[corner], points[~corner], constant), strict=True):
+        np.testing.assert_allclose(line, np.reshape(expected, (-1, 2)))
+    np.testing.assert_allclose(bottom.lines[0].get_ydata(), 100 * missed)
+    assert [text.get_text() for text in top.texts] == list(fronted.suite.names)
+    assert f"{corner.sum()} of {len(points)}" in top.get_title()
+    assert top.get_yscale() == "log" and "and switches)" in bottom.get_xlabel()
+    plt.close(figure)
+    with pytest.raises(ValueError, match="result: expected one with a front"):
+        landing.plot_front(replace(fronted, front=None))
+
+
+def test_the_bar_of_the_front_moves_by_shares(monkeypatch):
+    moved = []
+    bar = lambda items, title, progress: (moved.append(k) or k for k in items)  # noqa: E731
+    monkeypatch.setattr("modelselect_parts.rivals.perception.with_bar", bar)
+    front = landing.whole_front(small_problem(0), 60, progress=True)
+    assert len(front.points) > 2 and moved == list(range(100))
+
+
+@pytest.mark.parametrize("quiet", [[], ["--quiet"]])
+def test_the_command_line_finds_the_front(tmp_path, capsys, quiet):
+    target = tmp_path / "r.json"
+    argv = [*TINY, "--front", "60", "--out", str(tmp_path), "--json", str(target), *quiet]
+    assert main(argv) == 0
+    printed = capsys.readouterr()
+    assert ("Pareto points: " in printed.out) == (not quiet) and printed.err == ""
+    assert (tmp_path / "front.png").stat().st_size > 1000
+    written = json.loads(target.read_text())["front"]
+    found = landing.whole_front(run_experiment(Settings(horizon=4, trials=3)).problem, 60)
+    assert written["corner"] == found.corner.tolist() and written["left"] == ""
+    np.testing.assert_allclose(written["points"], found.points)
+    assert set(written) == {"points", "corner", "missed", "left"}
+
+
 # --------------------------------------------------------------------------- report and JSON
 
 
@@ -978,6 +1094,9 @@ def attempt(argv):
         ("--budget -1", "budget: expected a number >= 0, found -1"),
         ("--budget inf", "budget"),
         ("--budget", "--budget"),
+        ("--front -1", "front: expected a number >= 0, found -1"),
+        ("--front nan", "front"),
+        ("--front x", "--front"),
         ("--seed -1", "seed"),
         ("--seed 1.5", "--seed"),
         ("--preset moon", "--preset"),
