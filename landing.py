@@ -35,7 +35,7 @@ import io
 import math
 import sys
 import tempfile
-from collections.abc import Callable, Collection, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from json import dumps
 from pathlib import Path
@@ -50,8 +50,8 @@ from scipy.signal import cont2discrete
 import modelselect as ms
 import perception
 from modelselect import Array, Choices, ControlTask, Schedule, SelectionProblem
-from modelselect_parts import figures, flights
-from modelselect_parts.checks import check_choices, check_count, check_name, check_number, check_rng
+from modelselect_parts import figures, flights, tables
+from modelselect_parts.checks import check_count, check_name, check_number
 from modelselect_parts.figures import STYLE
 from modelselect_parts.flights import (
     COSTS,
@@ -63,6 +63,8 @@ from modelselect_parts.flights import (
     model_cost,
     root_mean_square,
 )
+from modelselect_parts.published import COMPARISONS, EXPERIMENT_1, EXPERIMENT_2
+from modelselect_parts.rivals import Front, pareto, policies, whole_front
 from perception import MOUNT, SPREAD, PerceptionSuite, Trained
 
 Rng = np.random.Generator
@@ -185,6 +187,8 @@ NAMES: Any = {
     "information": ms.PATTERNS,
     "cost": COSTS,
 }
+#: Settings beyond the paper.
+LIMITS = ("switch_cost", "budget")
 
 
 @dataclass(frozen=True)
@@ -201,6 +205,8 @@ class Settings:
     upsilon: float | None = None  #: price of one model up; None: as the preset says
     cost: str = "linear"  #: of model w: w * upsilon, or its counted operations, with the same top
     seed: int = 0  #: of everything random
+    switch_cost: float = 0.0  #: perception cost of going from one model to another
+    budget: float | None = None  #: the most that perception may cost on a landing, with switches
 
     def __post_init__(self) -> None:
         for name, known in NAMES.items():
@@ -208,8 +214,10 @@ class Settings:
         for name, minimum in {"horizon": 1, "trials": 1, "seed": 0}.items():
             count = check_count(name, getattr(self, name), minimum=minimum)
             object.__setattr__(self, name, count)
-        for name in ("alpha", "beta", "upsilon")[: 2 + (self.upsilon is not None)]:
-            object.__setattr__(self, name, check_number(name, getattr(self, name), minimum=0))
+        for name in ("alpha", "beta", "upsilon", *LIMITS):
+            value = getattr(self, name)
+            if value is not None or name not in ("upsilon", "budget"):
+                object.__setattr__(self, name, check_number(name, value, minimum=0))
         if self.experiment == "trained" and self.preset != "textbook":
             raise ValueError(f"preset: the cameras need textbook altitudes, found {self.preset!r}")
         if self.experiment == "simulated" and self.cost != "linear":
@@ -241,36 +249,11 @@ class Result:
     seconds: float  #: that `modelselect.solve` took
     flights: dict[str, Flights]  #: by policy
     trained: Trained | None = None  #: the networks of experiment ``trained``
+    front: Front | None = None  #: all Pareto points, where they were asked for
 
     def means(self) -> dict[str, Array]:
         """Means over trials (3,) of control cost, perception cost and reward, by policy."""
         return {policy: np.mean(flown[2:], axis=1) for policy, flown in self.flights.items()}
-
-
-def policies(
-    problem: SelectionProblem, optimal: Choices, errors: Iterable[Array], rng: Rng
-) -> dict[str, Choices | None]:
-    """Return the schedules (H,) of all policies, or (trials, H) where each trial has its own.
-
-    Oracle is that of the authors' code: no model, no error.  Clairvoyant is the Oracle of their
-    text: it knows the errors (H, W, p) of every trial beforehand and solves
-    ``prob:model_selection``.  Both are infeasible.  Random is one schedule for all trials, as in
-    their code.  Best Single (constant) and Greedy (each step alone, coupling ignored) are ours.
-    The schedule `optimal` (H,) is that of the solver.
-    """
-    H, W, _ = problem.mean.shape
-    constant = np.repeat(np.arange(W)[:, None], H, axis=1)
-    known = (replace(problem, mean=e, variance=np.zeros_like(problem.mean)) for e in errors)
-    return {
-        "Oracle": None,
-        "Clairvoyant": np.array([ms.solve(trial).choices for trial in known]),
-        "Optimal": check_choices(optimal, H, W),
-        "Best Single": constant[problem.total_cost(constant).argmin()],
-        "Greedy": ms.stepwise_cost(problem).argmin(axis=1),
-        "Random": check_rng(rng).integers(W, size=H),
-        "All Large": constant[-1],
-        "All Small": constant[0],
-    }
 
 
 def run_experiment(
@@ -290,10 +273,14 @@ def run_experiment(
     suite = EXPERIMENTS[run.experiment](landing, run, streams[0], trained)
     upsilon = landing.upsilon if run.upsilon is None else run.upsilon
     upsilon = cost_scale(Psi, suite) if upsilon is None else upsilon
-    if not math.isfinite(float(suite.cost.max()) * upsilon):
-        raise ValueError(f"upsilon: the costs overflow, found {upsilon:g}")
+    prices = ("upsilon", upsilon, suite.cost.max()), ("switch_cost", run.switch_cost, run.horizon)
+    for name, price, times in prices:
+        if not math.isfinite(price * float(times)):
+            raise ValueError(f"{name}: the costs overflow, found {price:g}")
     suite = replace(suite, cost=suite.cost * upsilon)
-    problem = SelectionProblem(Psi, suite.mean, suite.variance, suite.cost, run.alpha, run.beta)
+    posed = (Psi, suite.mean, suite.variance, suite.cost, run.alpha, run.beta)
+    switch_cost = run.switch_cost * (1 - np.eye(len(suite.names)))
+    problem = SelectionProblem(*posed, switch_cost=switch_cost, budget=run.budget)
     started = perf_counter()
     optimal = ms.solve(problem)
     seconds = perf_counter() - started
@@ -309,26 +296,6 @@ def run_experiment(
         flown[policy] = Flights(choices, altitude, control, paid, reward)
     used = replace(run, upsilon=upsilon)
     return Result(used, landing, suite, problem, optimal, seconds, flown, trained)
-
-
-def pareto(
-    problem: SelectionProblem, points: int = 40, *, progress: bool = False
-) -> tuple[Array, list[Schedule]]:
-    """Solve for `points` ratios r = alpha / beta (``fig:simulation_pareto``); return r and optima.
-
-    Let the schedule of least control term C have (C+, P+), and the cheapest (C-, P-).  As the
-    optimum at r has the least r C + P, its C exceeds C+ by at most (P+ - P-) / r, and its P
-    exceeds P- by at most r C-: so r = 0.01 (P+ - P-) / C- to 100 (P+ - P-) / C+ reaches both
-    ends to 1%.  Weighted sums find the corners of the front's convex hull, nothing in between.
-    """
-    points = check_count("points", points)
-    ends = [ms.solve(replace(problem, alpha=a, beta=1 - a)).choices for a in (1.0, 0.0)]
-    (least, most), (dear, cheap) = problem.control_term(ends), problem.perception_term(ends)
-    span, ratio = dear - cheap, np.ones(1)
-    if span > 0 and most > 0:  # else there is nothing to trade
-        ratio = np.geomspace(0.01 * span / most, 100 * span / max(least, 1e-6 * most), points)
-    bar = perception.with_bar(ratio, "Pareto front", progress)
-    return ratio, [ms.solve(replace(problem, alpha=r / (1 + r), beta=1 / (1 + r))) for r in bar]
 
 
 # --------------------------------------------------------------------- models trained on pictures
@@ -381,12 +348,17 @@ def judge_on_pictures(
     """Solve under a pattern without forecast, and fly policies of `FLOWN` in three ways.
 
     Guarded is optimal for the suite of `guard_suite`.  Inputs and Gaussian errors are those of
-    `run_experiment`, and Upsilon follows the rule for the Psi of the pattern `information`.
+    `run_experiment`, and Upsilon follows the rule for the Psi of the pattern `information`, to
+    which switching cost and budget keep their ratio.
     """
     for policy in policies:
         check_name("policies", policy, FLOWN)
     trained = _learned(result)
-    run = replace(result.settings, information=information, upsilon=None)
+    run, limits = result.settings, {}
+    if run.upsilon:
+        rule = cost_scale(ms.psi(result.landing.task, information), result.suite)
+        limits = {k: v and v * (rule / run.upsilon) for k, v in asdict(run).items() if k in LIMITS}
+    run = replace(run, information=information, upsilon=None, **limits)
     result = run_experiment(run, trained=trained)
     landing, problem, suite = result.landing, result.problem, result.suite
     _, inputs, gaussian, _, bootstrap = np.random.default_rng(run.seed).spawn(5)
@@ -397,7 +369,8 @@ def judge_on_pictures(
     choices["Guarded"] = ms.solve(flights.pose(problem, perception.guard_suite(suite))).choices
     bar = perception.with_bar(policies, f"Flights ({information})", progress)
     given = (landing, trained.networks, information, problem)
-    return result, {k: flights.judge(*given, choices[k], s, drawn, run.seed) for k in bar}
+    judged = (k for k in bar if k in choices)  # a budget leaves some out
+    return result, {k: flights.judge(*given, choices[k], s, drawn, run.seed) for k in judged}
 
 
 SIZES = (50, 100, 400, 897)
@@ -417,33 +390,11 @@ def sample_sizes(
 
 # ---------------------------------------------------------------------------------- the report
 
-#: Means of 100 trials that the authors logged of experiment 1, and of 2: control cost, and
-#: perception cost in Upsilon at w + 1 for model w.
-LOGGED = {
-    "Oracle": ((5.189117e15, 0), (5.189117e15, 0)),
-    "Optimal": ((7.299417e15, 628), (5.200365e15, 664)),
-    "Random": ((4.871516e16, 664), (7.178464e15, 670)),
-    "All Large": ((5.190354e15, 1200), (5.924078e15, 1200)),
-    "All Small": ((4.915508e17, 150), (1.885632e16, 150)),
-}
-EXPERIMENT_1, EXPERIMENT_2 = ({policy: row[k] for policy, row in LOGGED.items()} for k in (0, 1))
+#: Settings of the runs that the authors logged, and what they logged.
 PUBLISHED = {
     "simulated": (Settings(upsilon=1e14), EXPERIMENT_1),
     "trained": (Settings(upsilon=1e10, alpha=0.6, beta=0.4), EXPERIMENT_2),
 }
-#: Quantity, new, old; what the paper prints of (new - old) / |old| in experiment 1, and in 2.
-COMPARISONS = (
-    ("control_cost", "Optimal", "Random", "", ""),
-    ("control_cost", "Random", "Optimal", "567.18% lower", "38.04% lower"),
-    ("perception_cost", "Optimal", "Random", "", ""),
-    ("perception_cost", "All Large", "Random", "80.72% less", "79.1% less"),
-    ("reward", "Optimal", "Random", "", ""),
-    ("control_cost", "Optimal", "All Large", "", ""),
-    ("perception_cost", "Optimal", "All Large", "", ""),
-    ("reward", "Optimal", "All Large", "", ""),
-    ("reward", "All Large", "Optimal", "53.26% better", "13.97% better"),
-    ("reward", "Oracle", "Optimal", "77% far from Oracle", "0.3% far from Oracle"),
-)
 
 
 def published_log(settings: Settings, offset: int = 0) -> dict[str, Array]:
@@ -454,7 +405,10 @@ def published_log(settings: Settings, offset: int = 0) -> dict[str, Array]:
     offset = check_count("offset", offset, minimum=0)
     logged, table = PUBLISHED.get(settings.experiment, (None, {}))
     simulated = settings.experiment == "simulated"
-    if logged is None or (simulated and replace(settings, trials=100, seed=0) != logged):
+    most = 7 * settings.horizon * (settings.upsilon or 0)  # a budget of that never binds
+    limited = settings.switch_cost or (settings.budget is not None and settings.budget < most)
+    settings = replace(settings, trials=100, seed=0, budget=None)
+    if logged is None or limited or (simulated and settings != logged):
         return {}
     means = {}
     for policy, (control, units) in table.items():
@@ -475,8 +429,9 @@ def report(result: Result) -> str:
     rows = [flights.estimate(*flown[2:], ours - flown.reward) for flown in result.flights.values()]
     log = published_log(run)
     log = log if log and run.preset == PUBLISHED[run.experiment][0].preset else {}
-    given = (np.array(rows), log, run.trials, COSTS[run.cost])
-    lines = figures.table_of_policies(list(result.flights), *given)
+    price = COSTS[run.cost] + (f", {run.switch_cost:g} a switch" if run.switch_cost else "")
+    given = (np.array(rows), log, run.trials, price)
+    lines = tables.table_of_policies(list(result.flights), *given)
     lines += [
         "",
         f"Optimal: expected total {best.cost:.6e} (less alpha J(u*)), lower bound "
@@ -484,8 +439,16 @@ def report(result: Result) -> str:
         f"gap {best.gap:.0e}, {'' if best.is_optimal else 'not '}proved optimal by {best.solver} "
         f"in {result.seconds:.2f} s.",
     ]
-    models = figures.table_of_models(suite.names, best.choices, suite.mean, suite.variance)
-    return "\n".join([*lines, *models])
+    if run.budget is not None:
+        spent = result.problem.perception_term(best.choices)
+        lines += [f"It spends {spent:.6g} of a budget of {run.budget:.6g}."]
+        missing = ", ".join(policy for policy in LOOK if policy not in result.flights)
+        lines += [f"Left out, as beyond the budget: {missing}."] if missing else []
+    lines += tables.table_of_models(suite.names, best.choices, suite.mean, suite.variance)
+    if run.switch_cost:
+        lines += [f"It switches {np.count_nonzero(np.diff(best.choices))} times."]
+    lines += tables.table_of_front(result.front) if result.front else []
+    return "\n".join(lines)
 
 
 def percentages(result: Result) -> list[dict[str, Any]]:
@@ -498,7 +461,7 @@ def percentages(result: Result) -> list[dict[str, Any]]:
     sources["log at (w+1)*Upsilon"] = published_log(result.settings, 1)
     said = 3 + list(PUBLISHED).index(result.settings.experiment) if log else 0
     compared = [(*row[:3], row[said] if log else "") for row in COMPARISONS]
-    return figures.table_of_percentages(compared, QUANTITIES, sources)
+    return tables.table_of_percentages(compared, QUANTITIES, sources)
 
 
 def report_pictures(result: Result, *, progress: bool = False) -> str:
@@ -510,18 +473,18 @@ def report_pictures(result: Result, *, progress: bool = False) -> str:
     altitude, errors = flights.by_network(residuals)
     rms, edges, by_altitude = flights.errors_by_altitude(altitude, errors)
     sizes = np.array([(network.parameters, network.multiply_adds) for network in networks])
-    parts = [figures.table_of_errors(residuals.names, sizes, rms, edges, by_altitude)]
+    parts = [tables.table_of_errors(residuals.names, sizes, rms, edges, by_altitude)]
     within_reach = flights.sensitivities(result.landing.task)
     patterns = [name for name in within_reach if not ms.PATTERNS[name].foresight]
     for information in sorted(patterns, key=lambda name: name != run.information):
         flown = ("Optimal", "All Large", "All Small") if len(parts) > 1 else FLOWN
         _, found = judge_on_pictures(result, information, flown, progress=progress)
         compared = flights.compare(found, run.alpha, run.beta)
-        parts += [figures.table_of_regrets(information, list(found), *compared)]
+        parts += [tables.table_of_regrets(information, list(found), *compared)]
     counts = [n for n in SIZES if n <= len(altitude)]
     regret = sample_sizes(result, counts)
     shares = np.array([flights.estimate(*pair) for pair in regret])
-    parts += [figures.table_of_sizes(counts, shares, regret.shape[2], FRESH)]
+    parts += [tables.table_of_sizes(counts, shares, regret.shape[2], FRESH)]
     return "\n\n".join("\n".join(lines) for lines in parts)
 
 
@@ -533,14 +496,16 @@ def summary(result: Result) -> dict[str, Any]:
         for quantity, (mean, half) in zip(QUANTITIES, rows, strict=True):
             interval = None if math.isnan(half) else [mean - half, mean + half]
             policies[policy] |= {quantity: mean, f"{quantity}_interval": interval}
+    used = asdict(result.settings).items()
+    front = result.front and {k: np.asarray(v).tolist() for k, v in result.front._asdict().items()}
     return {
         "policies": policies,
         "schedule": result.optimal.choices.tolist(),
         "lower_bound": result.optimal.lower_bound,
         "gap": result.optimal.gap,
         "solve_seconds": result.seconds,
-        "settings": asdict(result.settings),
-    }
+        "settings": {k: v for k, v in used if k not in LIMITS or v != getattr(Settings, k)},
+    } | ({"front": front} if front else {})
 
 
 # ------------------------------------------------------------------------------------- figures
@@ -559,10 +524,16 @@ def plot_schedule(result: Result) -> Figure:
     return figures.draw_schedule(choices, result.suite.names, matters, title, result.landing.dt)
 
 
+def _axis(result: Result) -> str:
+    """Name perception cost, with what it is the sum of."""
+    label = PRICE[result.settings.cost]
+    return label.replace(")", " and switches)") if result.settings.switch_cost else label
+
+
 def plot_costs(result: Result) -> Figure:
     """Draw perception against control cost, with 95% intervals (``fig:simulation_CvL``)."""
     paid, control = _estimates(result, "perception_cost"), _estimates(result, "control_cost")
-    return figures.draw_costs(list(result.flights), paid, control, result.settings.cost)
+    return figures.draw_costs(list(result.flights), paid, control, _axis(result))
 
 
 def plot_rewards(result: Result) -> Figure:
@@ -582,7 +553,18 @@ def plot_pareto(result: Result, optima: Sequence[Schedule] | None = None) -> Fig
     schedules = ([optimum.choices for optimum in optima], [np.asarray(c) for c in fixed.values()])
     front, points = (np.transpose([term(c) for term in terms]) for c in schedules)
     proved = sum(optimum.is_optimal for optimum in optima)
-    return figures.draw_front(front, proved, list(fixed), points, result.settings.cost)
+    return figures.draw_front(front, proved, list(fixed), points, _axis(result))
+
+
+def plot_front(result: Result) -> Figure:
+    """Draw all Pareto points of a result that has them, and the constant schedules."""
+    if result.front is None:
+        raise ValueError("result: expected one with a front, found none")
+    problem, (H, W, _) = result.problem, result.problem.mean.shape
+    always = np.repeat(np.arange(W)[:, None], H, axis=1)
+    constant = np.array([problem.perception_term(always), problem.control_term(always)]).T
+    given = (result.suite.names, constant, _axis(result))
+    return figures.draw_all_points(*result.front, *given)
 
 
 def plot_landing(result: Result) -> Figure:
@@ -649,6 +631,8 @@ def write_figures(result: Result, folder: Path, *, progress: bool = False) -> No
         "efficientnet": plot_efficientnet(),
         "psi": plot_psi(result.landing.task),
     }
+    if result.front:
+        drawn["front"] = plot_front(result)
     if result.trained:
         drawn |= {
             "gallery": plot_gallery(result.settings.seed),
@@ -705,8 +689,12 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser("landing.py", usage=argparse.SUPPRESS, description=about)
     for name, value in asdict(Settings()).items():
         kind, known = float if value is None else type(value), NAMES.get(name)
-        default = f"default: {'as the preset' if value is None else value}"
-        parser.add_argument(f"--{name}", type=kind, choices=known, default=value, help=default)
+        default = {"upsilon": "as the preset", "budget": "none"}.get(name, value)
+        flag = f"--{name.replace('_', '-')}"
+        about = f"default: {default}"
+        parser.add_argument(flag, type=kind, choices=known, default=value, help=about)
+    about = "find all Pareto points, or as many as so many seconds prove"
+    parser.add_argument("--front", type=float, metavar="SECONDS", help=about)
     parser.add_argument("--out", type=Path, default="figures", metavar="FOLDER")
     parser.add_argument("--json", type=Path, metavar="FILE")
     parser.add_argument("--no-figures", action="store_true")
@@ -724,12 +712,17 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.set_defaults(**DEFAULTS.get(first, {}))
     options = vars(parser.parse_args(argv))
     out, path, bare, quiet = (options.pop(key) for key in ("out", "json", "no_figures", "quiet"))
+    seconds = options.pop("front")
     try:
         settings = Settings(**options)
         learns = settings.experiment == "trained"
+        seconds is None or check_number("front", seconds, minimum=0)
         check_targets(None if bare and not learns else out, path)
         trained = learn(settings.seed, out, progress=not quiet) if learns else None
         result = run_experiment(settings, trained=trained, progress=not quiet)
+        if seconds is not None:
+            front = whole_front(result.problem, seconds, progress=not quiet)
+            result = replace(result, front=front)
         if not quiet:
             print(report(result))
         if trained:

@@ -859,41 +859,46 @@ def solve(
 
 
 def pareto_front(
-    problem: SelectionProblem, *, resolution: float = 0.0, time_limit: float | None = None
+    problem: SelectionProblem,
+    *,
+    resolution: float = 0.0,
+    time_limit: float | None = None,
+    progress: Callable[[float], None] | None = None,
 ) -> list[Schedule]:
     """Return the schedules that no other beats in both control and perception term, dearest first.
 
-    Each is the optimum of the problem at alpha = 1, beta = 0 under a budget just below what the one
-    before spends, or `resolution` below, so its `cost` is its `control_term`, and its proof is one
-    that `check_certificate` judges.  Weights alpha and beta reach the corners of the front's convex
-    hull only; budgets reach every point.  The problem's own `budget` is where the front begins.
+    Each is the optimum at alpha = 1, beta = 0 under a budget just below what the one before spends,
+    or `resolution` below: its `cost` is its `control_term`, and `check_certificate` judges its
+    proof.  Weights reach the corners of the front's convex hull only, budgets every point.  The
+    problem's own `budget` is where the front begins.
 
     Points of equal control up to OPTIMALITY_GAP count as one.  With real-valued prices there can be
     tens of thousands: then state a resolution.  Where `time_limit` seconds end first, or rounding
-    leaves a gap, the proved points are returned, with a warning that says where they end.
+    leaves a gap, a warning says what is open beyond the proved points.  After each of them,
+    `progress` is called with the share of the range of perception that is done, up to 1.
     """
     resolution = check_number("resolution", resolution, minimum=0)
-    time_left = _stopwatch(time_limit)
-    prices = problem._price[np.isfinite(problem._price)]
-    if problem.switch_cost is not None:
-        prices = np.append(prices, problem.switch_cost)
+    time_left, now = _stopwatch(time_limit), replace(problem, alpha=1.0, beta=0.0)
+    tolls = 0.0 if problem.switch_cost is None else problem.switch_cost
+    prices = np.append(problem._price[np.isfinite(problem._price)], tolls)
     whole = bool((prices == np.floor(prices)).all() and np.abs(prices).max() < 2**53)
-    step = max(resolution, 1.0 if whole else 4e-12 * problem._most_spent)
+    step = max(resolution, float(whole), 4 * problem._limit_slack)
     cheapest = trellis.cheapest_path(problem._price, problem.switch_cost)
-    least = float(problem.perception_term(cheapest))
+    least, most = float(problem.perception_term(cheapest)), -math.inf
+    budget = math.inf if problem.budget is None else problem.budget
     front: list[Schedule] = []
-    now = replace(problem, alpha=1.0, beta=0.0)
-    while True:
-        limit = None if time_limit is None else max(0.0, time_left())
-        found = solve(now, time_limit=limit)
+    while budget >= least - problem._limit_slack:
+        found = solve(now, time_limit=None if time_limit is None else max(0.0, time_left()))
         if not found.is_optimal:
-            budget = math.inf if now.budget is None else now.budget
-            warnings.warn(f"pareto_front: not proved from perception {budget:g} down", stacklevel=2)
-            return front
+            left = f"from perception {budget:g} down to {least:g}"
+            warnings.warn(f"pareto_front: not proved {left}", stacklevel=2)
+            break
         if front and closes(OPTIMALITY_GAP, 0.0)(found.cost, front[-1].cost):
             front.pop()  # as good for control, and spends less
         front.append(found)
         spent = float(problem.perception_term(found.choices))
-        if spent - step < least - problem._limit_slack:
-            return front
-        now = replace(now, budget=max(spent - step, least))
+        most, budget = max(most, spent), spent - step
+        now = replace(now, budget=max(budget, least))
+        if progress is not None:
+            progress((most - budget) / (most - least) if budget > least else 1.0)
+    return front

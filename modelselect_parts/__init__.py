@@ -17,6 +17,9 @@ blends            paper V: Problem 4
 camera            pictures of a helipad
 networks          small networks and how they learn
 figures           every picture, from arrays
+tables            every table, from arrays
+published         what the authors logged, and the paper prints
+rivals            whom the optimum is compared with: eight policies, the sweep of weights
 flights           landing by what networks see in pictures
 ================= ==============================================================================
 """

@@ -242,7 +242,10 @@ TOOLS = {
     *("semidefinite_root", "relative_gap", "check_range"),
 }
 #: Parts that users reach through another module than modelselect.
-HOMES = {"camera": "perception", "networks": "perception", "flights": "landing"}
+HOMES = {
+    **{"camera": "perception", "networks": "perception"},
+    **{"flights": "landing", "rivals": "landing"},
+}
 
 
 def belongs(name, thing, module):

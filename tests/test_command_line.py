@@ -30,6 +30,9 @@ POOLS = {
     "--alpha": WEIGHTS,
     "--beta": WEIGHTS,
     "--upsilon": [*WEIGHTS, "1e14", "None"],
+    "--switch-cost": WEIGHTS,
+    "--budget": [*WEIGHTS, "1e14", "none"],
+    "--front": ["0", "0.1", "-1", "nan", "inf", "all"],
     "--cost": ["linear", "counted", "free"],
     "--seed": [*COUNTS, "123456789012345678901234567890"],
     "--out": ["out", "new/er", "file", "file/below", "", "a\0b", "x" * 300],
@@ -101,6 +104,9 @@ def test_any_arguments_run_or_help_or_end_in_one_line(place, argv):
         ("--alpha 1e308", "overflow"),
         ("--beta 1e300 --upsilon 1e14", "overflow"),
         ("--preset published --experiment trained", "preset: the cameras need"),
+        ("--switch-cost 1e308", "overflow"),
+        ("--switch-cost 1e308 --budget 1", "overflow"),
+        ("--experiment trained --budget 0", "budget: expected one of at least"),
         ("--cost counted", "cost: simulated models have linear cost"),
     ],
 )
@@ -126,6 +132,8 @@ def test_good_arguments_run(place, data):
         "--alpha": ["0", "0.5", "1e-300"],
         "--beta": ["0", "0.5", "1e-300"],
         "--upsilon": ["0", "1", "1e14"],
+        "--switch-cost": ["0", "1", "1e14"],
+        "--budget": ["0", "1", "1e14", "1e30"],
         "--seed": ["0", "7", "9" * 18],
     }
     flags = data.draw(st.sets(st.sampled_from(sorted(good))))

@@ -245,8 +245,31 @@ def test_a_front_without_time_says_where_it_ends():
         np.zeros((30, 3, 1)),
         [0.1, 0.21, 0.37],
     )
-    with pytest.warns(UserWarning, match="not proved from perception inf down"):
+    with pytest.warns(UserWarning, match="not proved from perception inf down to 3"):
         assert ms.pareto_front(problem, time_limit=0) == []
+
+
+@pytest.mark.parametrize("unit", [1.0, 3.0, 1e14])
+def test_a_front_is_the_same_in_any_unit_of_the_prices(unit):
+    rng, H = np.random.default_rng(0), 5
+    mean, Psi = np.array([2.0, 1, 0])[:, None] + rng.random((H, 3, 1)), np.ones((H, H)) + np.eye(H)
+    problem = SelectionProblem(Psi, mean, 0 * mean, np.array([0, 1, 3]) * unit)
+    front = ms.pareto_front(problem, time_limit=60)
+    spent = [problem.perception_term(point.choices) / unit for point in front]
+    assert spent == [15.0, 13, 12, 11, 10, 9, 8, 7, 6, 5, 4, 3, 2, 1, 0]
+
+
+@pytest.mark.parametrize("budget", [None, 4.0, 3.0])
+def test_a_front_tells_how_far_it_is(budget):
+    mean, told = np.array([2.0, 1, 0])[:, None] + np.zeros((6, 3, 1)), []
+    Psi = np.ones((6, 6)) + np.eye(6)
+    problem = SelectionProblem(Psi, mean, 0 * mean, [0.5, 1, 2], budget=budget)
+    front = ms.pareto_front(problem, progress=told.append)
+    spent = np.array([problem.perception_term(point.choices) for point in front])
+    assert told[-1] == 1 and told == sorted(told) and len(told) >= len(front)
+    assert spent[-1] == 3  # six times 0.5
+    shares = (spent[0] - spent) / max(spent[0] - 3, 1)
+    assert budget == 3 or all(min(abs(share - np.array(told))) < 1e-9 for share in shares)
 
 
 @given(SEEDS)

@@ -82,7 +82,7 @@ def test_every_argument_is_named(name):
         key
         for key, argument in arguments(thing).items()
         if not plain & words(argument.annotation)
-        and not re.search(rf"\b{key.rstrip('s')}s?\b", text)
+        and not re.search(rf"\b{key.removesuffix('s')}s?\b", text)
     ]
     assert not missing
 

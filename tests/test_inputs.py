@@ -338,6 +338,12 @@ def flown():
 
 
 @cache
+def fronted():
+    """That run with all its Pareto points."""
+    return dataclasses.replace(flown(), front=landing.whole_front(flown().problem, 60))
+
+
+@cache
 def seen():
     """A run of the second experiment with two tiny networks."""
     chosen = {"experiment": "trained"} | landing.DEFAULTS["trained"]
@@ -591,7 +597,10 @@ ROWS: dict[str, tuple[Callable[..., Any], dict[str, Arg]]] = {
     ),
     "pareto_front": (
         ms.pareto_front,
-        {"problem": PROBLEM, "resolution": number(30.0), "time_limit": LIMIT},
+        {
+            **{"problem": PROBLEM, "resolution": number(30.0), "time_limit": LIMIT},
+            "progress": function(float)._replace(valid="none"),
+        },
     ),
     "error_cost": (ms.error_cost, {"problem": PROBLEM}),
     "correlated_cost": (
@@ -827,6 +836,8 @@ ROWS: dict[str, tuple[Callable[..., Any], dict[str, Arg]]] = {
             "upsilon": number(2.0, "none"),
             "cost": word("linear"),
             "seed": count(7, "zero huge"),
+            "switch_cost": number(0.5),
+            "budget": number(2.0, "none"),
         },
     ),
     "Result.means": (lambda: flown().means(), {}),
@@ -860,6 +871,10 @@ ROWS: dict[str, tuple[Callable[..., Any], dict[str, Arg]]] = {
     "pareto": (
         landing.pareto,
         {"problem": PROBLEM, "points": count(2), "progress": FLAG},
+    ),
+    "whole_front": (
+        landing.whole_front,
+        {"problem": PROBLEM, "seconds": number(60.0), "progress": FLAG},
     ),
     "model_cost": (
         landing.model_cost,
@@ -930,6 +945,10 @@ ROWS: dict[str, tuple[Callable[..., Any], dict[str, Arg]]] = {
         landing.plot_pareto,
         {"result": FLOWN, "optima": record(lambda: [flown().optimal], "none")},
     ),
+    "plot_front": (
+        landing.plot_front,
+        {"result": record(fronted)},
+    ),
     "plot_landing": (landing.plot_landing, {"result": FLOWN}),
     "plot_efficientnet": (landing.plot_efficientnet, {}),
     "plot_psi": (landing.plot_psi, {"task": Arg("result", fresh=task)}),
@@ -964,7 +983,7 @@ ROWS: dict[str, tuple[Callable[..., Any], dict[str, Arg]]] = {
 RECORDS = {
     *("Riccati", "Pattern", "Schedule", "Relaxation", "Node", "ErrorCost", "Blend"),
     *("ModelTable", "Scene", "Layer", "Network", "Trained"),
-    *("Preset", "Flights", "Result", "Regret"),
+    *("Preset", "Flights", "Result", "Regret", "Front"),
 }
 
 

@@ -10,7 +10,7 @@ import subprocess
 import sys
 from contextlib import chdir, redirect_stderr, redirect_stdout
 from dataclasses import replace
-from itertools import product
+from itertools import pairwise, product
 from pathlib import Path
 
 import matplotlib.pyplot as plt
@@ -384,6 +384,10 @@ def test_zero_weights(weights):
         ({"alpha": None}, "alpha: expected"),
         ({"beta": np.nan}, "beta: expected"),
         ({"upsilon": np.inf}, "upsilon: expected"),
+        ({"switch_cost": -1}, "switch_cost: expected a number >= 0, found -1"),
+        ({"switch_cost": None}, "switch_cost: expected"),
+        ({"budget": -1}, "budget: expected a number >= 0, found -1"),
+        ({"budget": np.nan}, "budget: expected"),
     ],
 )
 def test_settings_are_checked(setting, message):
@@ -397,6 +401,139 @@ def test_preset_is_checked():
         preset("no")
     with pytest.raises(ValueError, match="horizon: expected an integer >= 1"):
         preset("published", 0)
+
+
+# ----------------------------------------------------------------- switching costs and a budget
+
+
+def small_problem(seed, **limits):
+    """Four steps, three models of prices 0, 1 and 2.5, at random."""
+    rng = np.random.default_rng(seed)
+    root, mean = rng.normal(size=(4, 4)), rng.normal(size=(4, 3, 1))
+    return SelectionProblem(root @ root.T, mean, mean**2 / 4, [0, 1, 2.5], 0.8, 0.2, **limits)
+
+
+def spending(problem, choices):
+    """What a schedule spends, in plain sums."""
+    price, switch = problem.model_cost, problem.switch_cost
+    paid = sum(price[w] for w in choices)
+    return paid + (0 if switch is None else sum(switch[v, w] for v, w in pairwise(choices)))
+
+
+def payable(problem, begun):
+    """The models after which some way on, of all that there are, stays within the budget."""
+    ways = product(range(3), repeat=3 - len(begun))
+    spent = {way: [spending(problem, (*begun, w, *way)) for w in range(3)] for way in ways}
+    return [w for w in range(3) if min(s[w] for s in spent.values()) <= problem.budget + 1e-9]
+
+
+def cost_alone(problem, t, before, w):
+    """What model w costs at step t after the models `before`, coupling ignored."""
+    felt = problem.mean[t, w, 0] ** 2 + problem.variance[t, w, 0]
+    move = problem.switch_cost[before[-1], w] if before else 0
+    return 0.8 * problem.psi[t, t] * felt + 0.2 * (problem.model_cost[w] + move)
+
+
+SWITCHES = np.array([[0, 0.4, 1], [0.1, 0, 0.7], [0.2, 3, 0]])
+
+
+@pytest.mark.parametrize("seed", range(20))
+@pytest.mark.parametrize("budget", [0.0, 1.3, 2.0, 4.4, 7.0])
+def test_every_policy_keeps_the_budget_and_none_is_below_the_optimum(seed, budget):
+    problem = small_problem(seed, switch_cost=SWITCHES, budget=budget)
+    best, rng = solve(problem), np.random.default_rng(seed)
+    errors = rng.normal(size=(2, 4, 3, 1))
+    found = landing.policies(problem, best.choices, errors, rng)
+    assert best.is_optimal and found.pop("Oracle") is None
+    for policy, schedules in found.items():
+        for c in np.atleast_2d(schedules):
+            assert spending(problem, c) <= budget + 1e-9, policy
+            assert problem.total_cost(c) >= best.lower_bound - 1e-12, policy
+    constants = {w: problem.total_cost([w] * 4) for w in range(3) if [0, 4, 10][w] <= budget}
+    assert found["Best Single"].tolist() == [min(constants, key=constants.get)] * 4
+    assert ("All Large" in found) == (2 in constants) and "All Small" in found
+    begun = []
+    for t, w in enumerate(found["Greedy"]):
+        assert w == min(payable(problem, begun), key=lambda v: cost_alone(problem, t, begun, v))
+        begun.append(w)
+
+
+def test_random_draws_evenly_among_the_models_that_can_be_afforded():
+    problem = small_problem(0, switch_cost=SWITCHES, budget=3.2)
+    rng, counts = np.random.default_rng(1), {}
+    for _ in range(3000):
+        c = tuple(landing.policies(problem, [0] * 4, [], rng)["Random"].tolist())
+        counts[c] = counts.get(c, 0) + 1
+    chances = {}
+    for c in product(range(3), repeat=4):
+        shares = [(c[t] in left) / len(left) for t in range(4) if (left := payable(problem, c[:t]))]
+        chances[c] = math.prod(shares)
+    assert sum(chances.values()) == pytest.approx(1)
+    for c, chance in chances.items():
+        assert abs(counts.get(c, 0) - 3000 * chance) <= 5 * (3000 * chance * (1 - chance)) ** 0.5
+
+
+def test_where_no_constant_schedule_is_affordable_there_is_none():
+    mean = np.ones((2, 2, 1))
+    problem = SelectionProblem(np.eye(2), mean, mean, [[0, 5], [5, 0]], budget=1.0)
+    found = landing.policies(problem, [0, 1], [], np.random.default_rng(0))
+    assert list(found) == ["Oracle", "Clairvoyant", "Optimal", "Greedy", "Random"]
+    assert found["Greedy"].tolist() == found["Random"].tolist() == [0, 1]
+
+
+def test_a_model_that_is_missing_is_not_drawn():
+    mean = np.ones((6, 3, 1))
+    problem = SelectionProblem(np.eye(6), mean, mean, [0, np.inf, 1])
+    found = landing.policies(problem, [0] * 6, [], np.random.default_rng(0))
+    assert set(found["Random"].tolist()) == {0, 2}
+    assert set(found["Greedy"].tolist()) == set(found["Best Single"].tolist()) == {0}
+
+
+@pytest.mark.parametrize("name", PRESETS)
+@pytest.mark.parametrize("information", ["open_loop", "causal"])
+def test_a_landing_obeys_its_limits(name, information):
+    free = run_experiment(Settings("simulated", name, information, **SMALL))
+    upsilon = free.settings.upsilon
+    chosen = free.settings, {"switch_cost": upsilon / 2, "budget": 20.2 * upsilon}
+    run = run_experiment(replace(chosen[0], **chosen[1]))
+    assert list(run.flights) == [policy for policy in POLICIES if policy != "All Large"]
+    for policy in [name for name in FEASIBLE if name in run.flights]:
+        c = run.flights[policy].choices
+        paid = upsilon * (c.sum() + np.count_nonzero(np.diff(c)) / 2)
+        assert paid <= 20.2 * upsilon
+        np.testing.assert_allclose(run.flights[policy].perception_cost, paid, rtol=1e-12)
+        assert run.problem.total_cost(c) >= run.optimal.lower_bound * (1 - 1e-12)
+    assert run.flights["Clairvoyant"].perception_cost.max() <= 20.2 * upsilon
+    text, c = report(run), run.optimal.choices
+    spent = run.problem.perception_term(c)
+    assert f"It spends {spent:.6g} of a budget of {20.2 * upsilon:.6g}." in text
+    assert "Left out, as beyond the budget: All Large." in text
+    assert f"It switches {np.count_nonzero(np.diff(c))} times." in text
+    assert f"perception costs are w * Upsilon, {upsilon / 2:g} a switch" in text
+    assert {k: summary(run)["settings"][k] for k in chosen[1]} == chosen[1]
+    assert len(percentages(run)) == 10 and not landing.published_log(run.settings)
+
+
+@pytest.mark.parametrize("settings", [{}, {"preset": "textbook", "horizon": 30}])
+def test_limits_that_never_bind_change_no_number(settings):
+    plain = run_experiment(Settings(**settings, trials=2))
+    loose = run_experiment(Settings(**settings, trials=2, switch_cost=0, budget=1e30))
+    assert report(loose).split("\n\n")[0] == report(plain).split("\n\n")[0]
+    for policy in POLICIES[1:]:
+        np.testing.assert_array_equal(loose.flights[policy].choices, plain.flights[policy].choices)
+    assert not {"switch_cost", "budget"} & set(summary(plain)["settings"])
+    assert "switch" not in report(plain) and "budget" not in report(plain)
+    assert percentages(loose) == percentages(plain)
+
+
+def test_figures_have_room_for_fewer_policies():
+    run = run_experiment(Settings(horizon=4, trials=3, budget=1e15))
+    assert "All Large" not in run.flights
+    for plot in (landing.plot_costs, landing.plot_rewards, landing.plot_pareto):
+        plt.close(plot(run))
+    figure = landing.plot_landing(run)
+    assert [axes.get_title() for axes in figure.axes if axes.get_visible()] == list(run.flights)
+    plt.close(figure)
 
 
 # ----------------------------------------------------------------------------------- Pareto front
@@ -431,6 +568,122 @@ def test_nothing_to_trade_makes_a_front_of_one_point():
     assert run.problem.psi[0, 0] == 0
     ratio, optima = pareto(run.problem)
     assert len(ratio) == len(optima) == 1 and optima[0].cost == 0
+
+
+# ------------------------------------------------------------------------------ all Pareto points
+
+
+def unbeaten(problem):
+    """Perception and control term of the schedules that no other beats in both, by enumeration."""
+    schedules = [c for c in product(range(3), repeat=4) if problem.is_feasible(c)]
+    terms = sorted((spending(problem, c), float(problem.control_term(c))) for c in schedules)
+    best, kept = math.inf, []
+    for paid, control in terms:
+        if control < best * (1 - 1e-9):
+            best, kept = control, [*kept, (paid, control)]
+    return kept
+
+
+def led_to(points):
+    """The points that are cheapest at some ratio: tried between all slopes there are."""
+    pairs = [(a, b) for a in points for b in points if a[0] < b[0]]
+    slopes = sorted((a[1] - b[1]) / (b[0] - a[0]) for a, b in pairs)
+    tried = [0.0, *((a + b) / 2 for a, b in pairwise(slopes)), *(2 * s for s in slopes[-1:])]
+    return {min(points, key=lambda point: r * point[0] + point[1]) for r in tried} | {points[0]}
+
+
+@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("limits", [{}, {"switch_cost": SWITCHES}, {"budget": 4.2}])
+def test_all_points_are_those_that_no_schedule_beats_and_corners_those_that_weights_reach(
+    seed, limits
+):
+    problem = small_problem(seed, **limits)
+    front, points = landing.whole_front(problem, 60), unbeaten(problem)
+    np.testing.assert_allclose(front.points, points, rtol=1e-8, atol=1e-9)
+    assert front.left == "" and len(points) > 2
+    assert front.corner.tolist() == [point in led_to(points) for point in points]
+    for k, (_, control) in enumerate(points):
+        affordable = [points[j][1] for j in range(k + 1) if front.corner[j]]
+        assert front.missed[k] == pytest.approx(min(affordable) / control - 1, abs=1e-8)
+    on_corners = front.points[front.corner]
+    for optimum in pareto(problem, 12)[1]:
+        terms = problem.perception_term(optimum.choices), problem.control_term(optimum.choices)
+        assert np.isclose(on_corners, terms, rtol=1e-8, atol=1e-9).all(axis=1).any()
+
+
+@pytest.fixture(scope="module")
+def fronted():
+    """A landing with all its Pareto points."""
+    run = run_experiment(Settings(preset="textbook", horizon=6, trials=2, switch_cost=3.0))
+    return replace(run, front=landing.whole_front(run.problem, 60))
+
+
+def test_the_report_counts_corners_and_says_what_they_miss(fronted):
+    points, corner, missed, left = fronted.front
+    text, worst = report(fronted), missed.argmax()
+    assert left == "" and 2 <= corner.sum() < len(points) and missed[worst] > 0
+    assert f"Pareto points: {len(points)} proved, {corner.sum()} of them corners" in text
+    assert f"up to {100 * missed[worst]:.2g}% more, within a budget of " in text
+    assert f"budget of {points[worst, 0]:.6g}." in text and "Open" not in text
+    assert "Pareto" not in report(replace(fronted, front=None))
+
+
+def test_what_a_time_limit_leaves_open_is_said(fronted):
+    cut = replace(fronted, front=landing.whole_front(preset_problem(), 0))
+    assert cut.front.left == "not proved from perception inf down to 0"
+    assert "Pareto points: 0 proved" in report(cut)
+    assert "Open: not proved from perception inf down to 0" in report(cut)
+    figure = landing.plot_front(cut)
+    assert "not proved from perception inf" in figure.axes[0].get_title()
+    plt.close(figure)
+
+
+def preset_problem():
+    """A landing that is not proved in no time."""
+    return run_experiment(Settings(preset="textbook", horizon=30, trials=1)).problem
+
+
+def test_front_figure_shows_corners_points_between_and_constants(fronted):
+    figure, (points, corner, missed, _) = landing.plot_front(fronted), fronted.front
+    top, bottom = figure.axes
+    drawn = [line.get_xydata() for line in top.lines]
+    constant = [
+        (f(np.full(6, w)))
+        for w in range(8)
+        for f in (fronted.problem.perception_term, fronted.problem.control_term)
+    ]
+    for line, expected in zip(drawn, (points[corner], points[~corner], constant), strict=True):
+        np.testing.assert_allclose(line, np.reshape(expected, (-1, 2)))
+    np.testing.assert_allclose(bottom.lines[0].get_ydata(), 100 * missed)
+    assert [text.get_text() for text in top.texts] == list(fronted.suite.names)
+    assert f"{corner.sum()} of {len(points)}" in top.get_title()
+    assert top.get_yscale() == "log" and "and switches)" in bottom.get_xlabel()
+    plt.close(figure)
+    with pytest.raises(ValueError, match="result: expected one with a front"):
+        landing.plot_front(replace(fronted, front=None))
+
+
+def test_the_bar_of_the_front_moves_by_shares(monkeypatch):
+    moved = []
+    bar = lambda items, title, progress: (moved.append(k) or k for k in items)  # noqa: E731
+    monkeypatch.setattr("modelselect_parts.rivals.perception.with_bar", bar)
+    front = landing.whole_front(small_problem(0), 60, progress=True)
+    assert len(front.points) > 2 and moved == list(range(100))
+
+
+@pytest.mark.parametrize("quiet", [[], ["--quiet"]])
+def test_the_command_line_finds_the_front(tmp_path, capsys, quiet):
+    target = tmp_path / "r.json"
+    argv = [*TINY, "--front", "60", "--out", str(tmp_path), "--json", str(target), *quiet]
+    assert main(argv) == 0
+    printed = capsys.readouterr()
+    assert ("Pareto points: " in printed.out) == (not quiet) and printed.err == ""
+    assert (tmp_path / "front.png").stat().st_size > 1000
+    written = json.loads(target.read_text())["front"]
+    found = landing.whole_front(run_experiment(Settings(horizon=4, trials=3)).problem, 60)
+    assert written["corner"] == found.corner.tolist() and written["left"] == ""
+    np.testing.assert_allclose(written["points"], found.points)
+    assert set(written) == {"points", "corner", "missed", "left"}
 
 
 # --------------------------------------------------------------------------- report and JSON
@@ -835,6 +1088,15 @@ def attempt(argv):
         ("--beta nan", "beta"),
         ("--upsilon -1", "upsilon"),
         ("--upsilon inf", "upsilon"),
+        ("--switch-cost -1", "switch_cost: expected a number >= 0, found -1"),
+        ("--switch-cost nan", "switch_cost"),
+        ("--switch-cost x", "--switch-cost"),
+        ("--budget -1", "budget: expected a number >= 0, found -1"),
+        ("--budget inf", "budget"),
+        ("--budget", "--budget"),
+        ("--front -1", "front: expected a number >= 0, found -1"),
+        ("--front nan", "front"),
+        ("--front x", "--front"),
         ("--seed -1", "seed"),
         ("--seed 1.5", "--seed"),
         ("--preset moon", "--preset"),
@@ -897,5 +1159,14 @@ def test_script_runs_from_the_shell():
     done = subprocess.run(command, capture_output=True, text=True, check=True)
     assert "Clairvoyant" in done.stdout and done.stderr == ""
     helped = subprocess.run([sys.executable, script, "--help"], capture_output=True, text=True)
-    for option in ("information", "horizon", "alpha", "upsilon", "out", "json", "no-figures"):
+    for option in (
+        "information",
+        "horizon",
+        "alpha",
+        "upsilon",
+        "budget",
+        "switch-cost",
+        "out",
+        "json",
+    ):
         assert f"--{option}" in helped.stdout

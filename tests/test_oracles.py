@@ -104,6 +104,8 @@ policies | test_schedules_of_the_simple_policies | loops over models and steps
 fly | test_trials_are_those_of_a_robot_that_plans_anew_by_dense_algebra | dense planning, a plain roll-out and cost
 run_experiment | test_flown_costs_agree_with_the_problem | expected costs through Psi against roll-outs
 pareto | test_no_schedule_is_better_in_both_than_the_front | enumeration of all schedules
+whole_front | test_all_points_are_those_that_no_schedule_beats_and_corners_those_that_weights_reach | enumeration of all schedules and ratios
+plot_front | test_front_figure_shows_corners_points_between_and_constants | constants by hand, read off the figure
 published_log | test_logged_rewards_are_those_that_the_authors_print | the authors' printed log
 half_width | test_intervals_are_students | a printed table of Student's t
 percentages | test_percentages_are_shares_of_the_old_mean | means of the standard library
@@ -145,7 +147,7 @@ RECORDS = {
     **{"ErrorCost": "error_cost", "Blend": "solve_blend", "Scene": "draw_scenes"},
     **{"Layer": "new_network", "Network": "new_network", "Trained": "train_models"},
     **{"Preset": "preset", "Flights": "run_experiment", "Result": "run_experiment"},
-    **{"Regret": "judge_on_pictures"},
+    **{"Regret": "judge_on_pictures", "Front": "whole_front"},
 }
 
 

@@ -4,6 +4,10 @@ import re
 from pathlib import Path
 
 import numpy as np
+import pytest
+
+import landing
+from modelselect_parts.tables import table_of_front
 
 ROOT = Path(__file__).resolve().parents[1]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
@@ -23,6 +27,15 @@ def test_the_example_runs_and_is_certified(capsys):
     assert robot.perception_term(limited.choices) <= 0.5
     assert len(front) > 2
     assert all(point.is_optimal for point in front)
+
+
+@pytest.mark.unmutated
+def test_what_weights_reach_of_the_front_is_what_it_says():
+    run = landing.run_experiment(
+        landing.Settings("simulated", "textbook", "open_loop", 20, 1, switch_cost=60)
+    )
+    said = "\n".join(table_of_front(landing.whole_front(run.problem, 300)))
+    assert said in README and "--preset textbook --horizon 20 --switch-cost 60" in README
 
 
 def test_the_commands_are_targets_of_the_makefile():

@@ -223,6 +223,22 @@ def test_predicted_regret_is_that_of_the_error_models(result):
         assert total >= (0.6 * least.predicted + 0.4 * least.paid) * (1 - 1e-9)
 
 
+def test_limits_keep_their_ratio_to_the_price_under_every_pattern(trained):
+    free = run_experiment(Settings(**CHOSEN | {"trials": 2}), trained=trained)
+    upsilon, least = free.settings.upsilon, float(free.suite.cost[0]) * len(free.suite.mean)
+    limits = {"switch_cost": upsilon / 4, "budget": least + 5 * upsilon}
+    run = run_experiment(replace(free.settings, upsilon=None, **limits), trained=trained)
+    for information in ("causal", "measurement"):
+        again, found = judge_on_pictures(run, information)
+        used = again.settings
+        assert used.switch_cost / used.upsilon == pytest.approx(0.25)
+        assert used.budget / used.upsilon == pytest.approx(limits["budget"] / upsilon)
+        assert "All Large" not in found and {"Guarded", "Optimal", "Random"} <= set(found)
+        assert all(regret.paid <= used.budget * (1 + 1e-9) for regret in found.values())
+    assert "Left out" in landing.report(run)
+    assert "All Large" not in landing.report_pictures(run)
+
+
 def test_flown_regret_is_that_of_the_controller_fed_what_the_networks_made_of_it(result):
     run, found = judge_on_pictures(result, result.settings.information, ("Optimal",))
     s = run.landing.draw_inputs(np.random.default_rng(0).spawn(5)[1], 8)
