@@ -11,34 +11,16 @@ the budget lies half-way between what the cheapest schedule and the optimum with
 from __future__ import annotations
 
 import argparse
-from dataclasses import replace
 from statistics import median
 from time import perf_counter
 from typing import Any
 
 import numpy as np
-from families import TEXTBOOK, instance
+from families import KINDS, TEXTBOOK, constrained
 from measure import RESULTS, about, by, machine, save, seconds, table
 from tqdm import tqdm
 
-from modelselect import SelectionProblem, check_certificate, round_and_swap, solve
-
-LATENCY = np.array([12.9, 18.4, 24.0, 34.0, 68.3, 143.8, 256.0, 465.8])
-KINDS = ("switching", "budget", "both")
-
-
-def constrained(family: str, kind: str, seed: int, H: int) -> SelectionProblem:
-    """The instance of a family, with latencies for prices and what its kind adds."""
-    drawn = instance(family, seed, H)
-    beta = float(drawn.beta * drawn.model_cost.max() / LATENCY.max())
-    problem = replace(drawn, model_cost=LATENCY, beta=beta)
-    if kind != "budget":
-        switch = 0.02 * solve(problem).cost / beta * (1 - np.eye(len(LATENCY)))
-        problem = replace(problem, switch_cost=switch)
-    if kind != "switching":
-        least, most = H * LATENCY.min(), problem.perception_term(solve(problem).choices)
-        problem = replace(problem, budget=float(least + most) / 2)
-    return problem
+from modelselect import check_certificate, round_and_swap, solve
 
 
 def run(seeds: int, H: int, limit: float) -> list[dict[str, Any]]:

@@ -260,16 +260,10 @@ SOLVERS: dict[str, Callable[[SelectionProblem, float], Attempt]] = {
     "milp (HiGHS), linearised": linearised,
 }
 
-FIELDS = ("psi", "mean", "variance", "model_cost", "alpha", "beta")
-
-
-def store(problem: SelectionProblem, file: str) -> None:
-    np.savez(file, **{name: getattr(problem, name) for name in FIELDS})
-
 
 def load(file: str) -> SelectionProblem:
-    with np.load(file) as arrays:
-        return SelectionProblem(**{name: arrays[name] for name in FIELDS})
+    with np.load(file) as given:
+        return SelectionProblem(**given)
 
 
 def summary(problem: SelectionProblem, runs: list[Attempt]) -> dict[str, Any]:

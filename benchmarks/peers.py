@@ -17,8 +17,8 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
-from contenders import store
-from families import FAMILIES, MIXED_SIGNS, ONE_SIGN, instance
+import numpy as np
+from families import FAMILIES, MIXED_SIGNS, ONE_SIGN, arguments, instance
 from measure import RESULTS, about, by, claim, machine, run_alone, save, seconds, table
 from tqdm import tqdm
 
@@ -57,7 +57,7 @@ def run(jobs: list[Row], repeat: int, folder: str) -> list[Row]:
     for job in tqdm(jobs, disable=None):
         file = Path(folder) / "{family}-{seed}-{H}.npz".format_map(job).replace("/", "-")
         if not file.exists():
-            store(instance(job["family"], job["seed"], job["H"]), str(file))
+            np.savez(file, **arguments(instance(job["family"], job["seed"], job["H"])))
         often = repeat if job["solver"] in ("solve", "branch_and_bound") else 1
         request = {"file": str(file), "solver": job["solver"], "limit": job["limit"]}
         answer = run_alone(
