@@ -365,7 +365,9 @@ def main() -> None:
             break
         # A fresh copy: nothing that a run has cached helps the next one.
         runs.append(solver(replace(problem), request["limit"]))
-    print(json.dumps({"memory": peak_memory(), "before": before} | summary(problem, runs)))
+    print(
+        json.dumps({"memory": peak_memory(), "before": before} | summary(problem, runs)), flush=True
+    )
 
 
 if __name__ == "__main__":
