@@ -11,6 +11,7 @@ of the call to optimise; building the model is not counted.
 
 from __future__ import annotations
 
+import itertools
 import json
 import sys
 from collections.abc import Callable
@@ -55,6 +56,7 @@ class Attempt(NamedTuple):
     clock: Clock | None  #: None: it refused
     closed: bool  #: whether it claims a proof, by its own tolerances
     status: str
+    labels: int = 0  #: that the widest step of a label search kept
 
 
 # ------------------------------------------------------------------------------ our solvers
@@ -65,11 +67,17 @@ def _ours(solver: Callable[..., Schedule], problem: SelectionProblem, **limits: 
         schedule = solver(problem, **limits)
     check_certificate(problem, schedule)
     status = "optimal" if schedule.is_optimal else "time limit"
-    return Attempt(schedule.choices, schedule.lower_bound, clock, schedule.is_optimal, status)
+    labels, proved = int(np.max(schedule.work.get("labels", 0))), schedule.is_optimal
+    return Attempt(schedule.choices, schedule.lower_bound, clock, proved, status, labels)
 
 
 def ours(problem: SelectionProblem, limit: float) -> Attempt:
     return _ours(solve, problem, time_limit=limit)
+
+
+def root(problem: SelectionProblem, limit: float) -> Attempt:
+    """What `solve` knows before it searches; knows no time limit."""
+    return _ours(round_and_swap, problem)
 
 
 def tree(problem: SelectionProblem, limit: float) -> Attempt:
@@ -85,12 +93,18 @@ def enumeration(problem: SelectionProblem, limit: float) -> Attempt:
 
 
 class Scaled(NamedTuple):
-    """min d'Qd + l.b, d_t = sum_w b[t,w] mu[t,w], times `unit`."""
+    """min d'Qd + l.b + switches at `arc`, d_t = sum_w b[t,w] mu[t,w], times `unit`.
+
+    Subject to price.b + switches at `toll` <= 1, where there is a budget.
+    """
 
     Q: np.ndarray  #: (pH, pH)
     mean: np.ndarray  #: (H, W, p), largest entry of each step and component 1
     linear: np.ndarray  #: (H, W)
     unit: float  #: cost of one
+    arc: np.ndarray | None  #: (W, W), None: switches are free
+    price: np.ndarray | None  #: (H, W), None: no budget
+    toll: np.ndarray | None  #: (W, W), None: switches are free, or no budget
 
 
 def scaled(problem: SelectionProblem) -> Scaled:
@@ -98,7 +112,16 @@ def scaled(problem: SelectionProblem) -> Scaled:
     size[size == 0] = 1
     unit = round_and_swap(problem).cost or 1.0
     Q = problem.quadratic / unit * size.ravel()[:, None] * size.ravel()
-    return Scaled(Q, problem.mean / size, problem.linear / unit, unit)
+    switch, first, budget = problem.switch_cost, problem.initial_model, problem.budget
+    arc = None if switch is None else problem.beta * switch / unit
+    price = toll = None
+    if budget is not None:
+        assert budget > 0, "the unit of what is spent"
+        price = np.broadcast_to(problem.model_cost / budget, problem.linear.shape).copy()
+        if switch is not None:
+            toll = switch / budget
+            price[0] += 0 if first is None else toll[first]
+    return Scaled(Q, problem.mean / size, problem.linear / unit, unit, arc, price, toll)
 
 
 def triangular_factor(Q: np.ndarray) -> np.ndarray:
@@ -145,6 +168,11 @@ def _scip_model(model: Any, easy: Scaled, split: bool) -> list[list[Any]]:
 
     H, W, p = easy.mean.shape
     b = [[model.addVar(vtype="B", obj=easy.linear[t, w]) for w in range(W)] for t in range(H)]
+    spent = [] if easy.price is None else [easy.price[t, w] * b[t][w] for t, w in np.ndindex(H, W)]
+    if easy.arc is not None:
+        spent += _scip_flows(model, b, easy.arc, easy.toll)
+    if easy.price is not None:
+        model.addCons(quicksum(spent) <= 1)
     d = [model.addVar(lb=-1, ub=1) for _ in range(H * p)]
     for t in range(H):
         model.addCons(quicksum(b[t]) == 1)
@@ -161,6 +189,26 @@ def _scip_model(model: Any, easy: Scaled, split: bool) -> list[list[Any]]:
     return b
 
 
+def _scip_flows(
+    model: Any, b: list[list[Any]], arc: np.ndarray, toll: np.ndarray | None
+) -> list[Any]:
+    """Add flows y[t, v, w] >= 0 from b[t-1][v] to b[t][w], which cost `arc`; what they spend.
+
+    With b a single 1 in every step, y is 1 for the move that is made and 0 for the others.
+    """
+    from pyscipopt import quicksum
+
+    spent, models = [], range(len(arc))
+    for before, now in itertools.pairwise(b):
+        y = [[model.addVar(ub=1, obj=arc[v, w]) for w in models] for v in models]
+        for v in models:
+            model.addCons(quicksum(y[v]) == before[v])
+            model.addCons(quicksum(row[v] for row in y) == now[v])
+        if toll is not None:
+            spent += [toll[v, w] * y[v][w] for v, w in np.argwhere(toll)]
+    return spent
+
+
 # ------------------------------------------------------------------------------------ Gurobi
 
 
@@ -168,6 +216,7 @@ def gurobi(problem: SelectionProblem, limit: float) -> Attempt:
     """Gurobi on min d'Qd + l.b; its free licence holds 200 variables with a quadratic term."""
     import gurobipy
 
+    assert problem.switch_cost is None and problem.budget is None, "not stated for Gurobi"
     try:
         return _gurobi(problem, limit)
     except gurobipy.GurobiError as refusal:
@@ -205,19 +254,23 @@ def linearised(problem: SelectionProblem, limit: float) -> Attempt:
     """HiGHS, which has no MIQPs: a variable y for each product of two binaries.
 
     Instead of McCormick's y <= b_i, y <= b_j, y >= b_i + b_j - 1, we state what implies them
-    (Adams and Sherali 1986): for each binary i and each other step, sum_j y_ij = b_i.
+    (Adams and Sherali 1986): for each binary i and each other step, sum_j y_ij = b_i.  Products of
+    adjacent steps are the switches.
     """
     from scipy.optimize import Bounds, LinearConstraint, milp
 
     easy = scaled(problem)
     H, W, _ = easy.mean.shape
-    cost, rows, right = _products(easy)
+    cost, rows, right, spent = _products(easy)
+    rules = [LinearConstraint(rows, right, right)]
+    if spent is not None:
+        rules.append(LinearConstraint(spent, ub=1))
     with Clock() as clock:
         result = milp(
             cost,
             integrality=np.arange(len(cost)) < H * W,
             bounds=Bounds(0, 1),
-            constraints=LinearConstraint(rows, right, right),
+            constraints=rules,
             options={"time_limit": limit, "mip_rel_gap": OPTIMALITY_GAP},
         )
     choices = None if result.x is None else result.x[: H * W].reshape(H, W).argmax(axis=1)
@@ -226,8 +279,13 @@ def linearised(problem: SelectionProblem, limit: float) -> Attempt:
     return Attempt(choices, bound, clock, result.status == 0, status)
 
 
-def _products(easy: Scaled) -> tuple[np.ndarray, sparse.csr_array, np.ndarray]:
-    """Costs, rows and right-hand sides over (b, y), y_ij for i < j at different steps."""
+def _products(
+    easy: Scaled,
+) -> tuple[np.ndarray, sparse.csr_array, np.ndarray, np.ndarray | None]:
+    """Costs, rows, their right-hand sides and what is spent, over (b, y).
+
+    A y_ij for all i < j at different steps.
+    """
     H, W, _ = easy.mean.shape
     N = H * W
     F = la.block_diag(*np.swapaxes(easy.mean, 1, 2))  # d = F b
@@ -235,7 +293,13 @@ def _products(easy: Scaled) -> tuple[np.ndarray, sparse.csr_array, np.ndarray]:
     step = np.arange(N) // W
     i, j = np.nonzero(step[:, None] < step)
     y = N + np.arange(len(i))
-    cost = np.concatenate([easy.linear.ravel() + Q.diagonal(), 2 * Q[i, j]])
+
+    def switches(table: np.ndarray | None) -> np.ndarray:
+        """What the products of adjacent steps cost."""
+        adjacent = step[j] == step[i] + 1
+        return np.zeros(len(i)) if table is None else np.where(adjacent, table[i % W, j % W], 0)
+
+    cost = np.concatenate([easy.linear.ravel() + Q.diagonal(), 2 * Q[i, j] + switches(easy.arc)])
     # Row H + i * H + s says: the y between binary i and step s add up to b_i.
     here = [step, H + i * H + step[j], H + j * H + step[i]]
     own, other = np.repeat(np.arange(N), H), np.tile(np.arange(H), N)
@@ -245,13 +309,18 @@ def _products(easy: Scaled) -> tuple[np.ndarray, sparse.csr_array, np.ndarray]:
     value = np.concatenate([np.ones(N + 2 * len(y)), -np.ones(len(own))])
     matrix = sparse.csr_array((value, (row, column)), shape=(H + N * H, N + len(y)))
     used = np.diff(matrix.indptr) > 0
-    return cost, matrix[used], (np.arange(H + N * H) < H).astype(float)[used]
+    right = (np.arange(H + N * H) < H).astype(float)[used]
+    spent = None
+    if easy.price is not None:
+        spent = np.concatenate([easy.price.ravel(), switches(easy.toll)])
+    return cost, matrix[used], right, spent
 
 
 # ------------------------------------------------------------------------- one measurement
 
 SOLVERS: dict[str, Callable[[SelectionProblem, float], Attempt]] = {
     "solve": ours,
+    "round_and_swap": root,
     "branch_and_bound": tree,
     "enumerate_schedules": enumeration,
     "SCIP, one cone": scip_cone,
@@ -260,25 +329,24 @@ SOLVERS: dict[str, Callable[[SelectionProblem, float], Attempt]] = {
     "milp (HiGHS), linearised": linearised,
 }
 
-FIELDS = ("psi", "mean", "variance", "model_cost", "alpha", "beta")
-
-
-def store(problem: SelectionProblem, file: str) -> None:
-    np.savez(file, **{name: getattr(problem, name) for name in FIELDS})
-
 
 def load(file: str) -> SelectionProblem:
-    with np.load(file) as arrays:
-        return SelectionProblem(**{name: arrays[name] for name in FIELDS})
+    with np.load(file) as given:
+        return SelectionProblem(**given)
 
 
 def summary(problem: SelectionProblem, runs: list[Attempt]) -> dict[str, Any]:
     """The last run, with the median of all times and the cost computed anew."""
     last, clocks = runs[-1], [run.clock for run in runs if run.clock]
     answer: dict[str, Any] = {"status": last.status, "closed": bool(last.closed)}
+    answer["labels"] = last.labels
     if last.choices is not None:
         answer["choices"] = last.choices.tolist()
-        answer["cost"] = float(problem.total_cost(last.choices))
+        answer["switches"] = int(np.count_nonzero(np.diff(last.choices)))
+        if problem.is_feasible(last.choices):
+            answer["cost"] = float(problem.total_cost(last.choices))
+        else:
+            answer |= {"closed": False, "status": "its schedule breaks the budget"}
     if np.isfinite(last.bound):
         answer["bound"] = float(last.bound)
     if clocks:
@@ -293,9 +361,13 @@ def main() -> None:
     problem = load(request["file"])
     before, solver, runs = peak_memory(), SOLVERS[request["solver"]], []
     for _ in range(request["repeat"]):
+        if sum(run.clock.wall for run in runs if run.clock) > request["limit"]:
+            break
         # A fresh copy: nothing that a run has cached helps the next one.
         runs.append(solver(replace(problem), request["limit"]))
-    print(json.dumps({"memory": peak_memory(), "before": before} | summary(problem, runs)))
+    print(
+        json.dumps({"memory": peak_memory(), "before": before} | summary(problem, runs)), flush=True
+    )
 
 
 if __name__ == "__main__":

@@ -3,16 +3,22 @@
 `published` is the paper's first experiment.  The others land the textbook aircraft, named by what
 the controller knows and by the signs of the biases: all the `same`, one for each `model`, or one
 for each `step` and model.
+
+`constrained` adds what a kind says to a textbook family: switching costs, a budget, or both.  There
+prices are EfficientNet's measured latencies on an i7-12700H (pytorch-image-models), weighed so that
+the largest model costs what it costs in its family.  A switch costs 2% of the family's optimum; the
+budget lies half-way between what the cheapest schedule and the optimum without one spend.
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import fields, replace
+from typing import Any
 
 import numpy as np
 
 from landing import cost_scale, preset
-from modelselect import ControlTask, SelectionProblem, psi
+from modelselect import ControlTask, SelectionProblem, psi, solve
 from perception import PerceptionSuite, gaussian_suite
 
 ALPHA, BETA = 0.8, 0.2
@@ -21,6 +27,9 @@ TEXTBOOK = tuple(f"{known}/{signs}" for known in ("open_loop", "preview") for si
 FAMILIES = ("published", *TEXTBOOK)
 ONE_SIGN = ("published", "open_loop/same", "preview/same")
 MIXED_SIGNS = tuple(family for family in FAMILIES if family not in ONE_SIGN)
+
+KINDS = ("switching", "budget", "both")
+LATENCY = np.array([12.9, 18.4, 24.0, 34.0, 68.3, 143.8, 256.0, 465.8])
 
 # A bias in altitude (ft), in its rate (ft/s) and in pitch (rad); at 256 ft/s a pitch that is off
 # by 1/256 rad takes the aircraft off its path at 1 ft/s.
@@ -68,3 +77,23 @@ def textbook_suite(signs: str, rng: np.random.Generator, H: int, W: int, p: int)
     mean = np.concatenate([suite.mean for suite in components], axis=2) * UNITS[:p]
     variance = np.concatenate([suite.variance for suite in components], axis=2) * UNITS[:p] ** 2
     return replace(components[0], mean=mean, variance=variance)
+
+
+def constrained(family: str, kind: str, seed: int, H: int) -> SelectionProblem:
+    """The instance of a family, with latencies for prices and what its kind adds."""
+    drawn = instance(family, seed, H)
+    beta = float(drawn.beta * drawn.model_cost.max() / LATENCY.max())
+    problem = replace(drawn, model_cost=LATENCY, beta=beta)
+    if kind != "budget":
+        switch = 0.02 * solve(problem).cost / beta * (1 - np.eye(len(LATENCY)))
+        problem = replace(problem, switch_cost=switch)
+    if kind != "switching":
+        least, most = H * LATENCY.min(), problem.perception_term(solve(problem).choices)
+        problem = replace(problem, budget=float(least + most) / 2)
+    return problem
+
+
+def arguments(problem: SelectionProblem) -> dict[str, Any]:
+    """What `SelectionProblem` makes the same problem from, to be stored in a NumPy archive."""
+    given = {field.name: getattr(problem, field.name) for field in fields(problem)}
+    return {name: value for name, value in given.items() if value is not None}

@@ -18,14 +18,13 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Callable, Iterator
-from dataclasses import fields, replace
+from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
 from time import perf_counter
 
 import numpy as np
-from constrained import KINDS, constrained
-from families import FAMILIES, TEXTBOOK, instance
+from families import FAMILIES, KINDS, TEXTBOOK, arguments, constrained, instance
 
 from modelselect import SelectionProblem, maximum_cut_problem, partition_problem, solve
 
@@ -58,10 +57,8 @@ def write(folder: Path) -> None:
     for name, problem in drawn():
         best = solve(problem)
         assert best.is_optimal, name
-        given = {field.name: getattr(problem, field.name) for field in fields(problem)}
-        arrays = {key: value for key, value in given.items() if value is not None}
         claims = {key: getattr(best, key) for key in CLAIMS}
-        np.savez_compressed(folder / f"{name}.npz", **arrays, **claims)
+        np.savez_compressed(folder / f"{name}.npz", **arguments(problem), **claims)
 
 
 def read(file: Path) -> tuple[SelectionProblem, np.ndarray, float, float]:

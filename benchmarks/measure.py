@@ -20,7 +20,7 @@ def run_alone(script: str, request: dict[str, Any], timeout: float) -> dict[str,
     """Run a script of this folder on a JSON request; return the JSON it prints last.
 
     If there is none, the answer is {"status": why}: a solver that refuses, crashes or hangs is a
-    row of the table.
+    row of the table.  One that crashes as it leaves, its answer printed, has answered.
     """
     command = [sys.executable, str(Path(__file__).parent / script), json.dumps(request)]
     try:
@@ -29,9 +29,10 @@ def run_alone(script: str, request: dict[str, Any], timeout: float) -> dict[str,
         )
     except subprocess.TimeoutExpired:
         return {"status": f"killed after {timeout:.0f} s"}
-    if done.returncode:
+    last = (done.stdout.splitlines() or [""])[-1]
+    if not last.startswith("{"):
         return {"status": (done.stderr.strip().splitlines() or [f"exit {done.returncode}"])[-1]}
-    answer: dict[str, Any] = json.loads(done.stdout.splitlines()[-1])
+    answer: dict[str, Any] = json.loads(last)
     return answer
 
 

@@ -4,8 +4,9 @@ Every run has a process of its own, and solvers take turns on each instance.  Co
 anew from the schedules that the solvers return.  Fails, once all is written, if a schedule is
 cheaper than our proved optimum or than our lower bound; never because of a time.
 
-    python benchmarks/peers.py            # writes benchmarks/results/peers.md and peers.json
-    python benchmarks/peers.py --quick    # the same in small, into a temporary folder
+    python benchmarks/peers.py                  # writes benchmarks/results/peers.md and peers.json
+    python benchmarks/peers.py --constrained    # switches and budgets: constrained.md and .json
+    python benchmarks/peers.py --quick          # either in small, into a temporary folder
 """
 
 from __future__ import annotations
@@ -13,58 +14,94 @@ from __future__ import annotations
 import argparse
 import tempfile
 from collections.abc import Iterable, Iterator
+from itertools import product
 from pathlib import Path
 from statistics import median
 from typing import Any
 
-from contenders import store
-from families import FAMILIES, MIXED_SIGNS, ONE_SIGN, instance
+import families
+import numpy as np
+from families import (
+    FAMILIES,
+    KINDS,
+    MIXED_SIGNS,
+    ONE_SIGN,
+    TEXTBOOK,
+    arguments,
+    constrained,
+    instance,
+)
 from measure import RESULTS, about, by, claim, machine, run_alone, save, seconds, table
 from tqdm import tqdm
 
-from modelselect import OPTIMALITY_GAP
+from modelselect import OPTIMALITY_GAP, SelectionProblem
 
 Row = dict[str, Any]
+OURS = ("solve", "round_and_swap", "branch_and_bound")
 SCIP = ("SCIP, one cone", "SCIP, split")
+MILP = "milp (HiGHS), linearised"
 ENUMERABLE = 2**22
 
 
 def plan(options: argparse.Namespace) -> list[Row]:
     """All measurements in order: the solvers take turns on every instance."""
+    if options.constrained:
+        return _plan_constrained(options)
     jobs = []
     for family in options.families:
         for seed in range(options.seeds):
             solvers = ["solve", *SCIP] + ["branch_and_bound"] * (family in ONE_SIGN)
-            jobs += _jobs("full", family, seed, options.horizon, solvers, options.limit)
+            jobs += _jobs("full", "", family, seed, options.horizon, solvers, options.limit)
     for H in options.small_horizons:
         for family in options.families:
-            solvers = ["solve", "branch_and_bound", *SCIP, "Gurobi", "milp (HiGHS), linearised"]
-            solvers += ["enumerate_schedules"] * (8**H <= ENUMERABLE)
-            jobs += _jobs("small", family, 0, H, solvers, options.small_limit)
+            solvers = ["solve", "branch_and_bound", *SCIP, "Gurobi", MILP, *_enumerable(H)]
+            jobs += _jobs("small", "", family, 0, H, solvers, options.small_limit)
     return jobs
 
 
+def _plan_constrained(options: argparse.Namespace) -> list[Row]:
+    """SCIP in the form that closes more of the instances without constraints."""
+    jobs = []
+    for kind, family in product(options.constrained, options.families):
+        for seed in range(options.seeds):
+            solvers = ["solve", "round_and_swap", SCIP[0]]
+            jobs += _jobs("full", kind, family, seed, options.horizon, solvers, options.limit)
+    for kind, H, family in product(options.constrained, options.small_horizons, options.families):
+        solvers = ["solve", SCIP[0], MILP, *_enumerable(H)]
+        jobs += _jobs("small", kind, family, 0, H, solvers, options.small_limit)
+    return jobs
+
+
+def _enumerable(H: int) -> list[str]:
+    return ["enumerate_schedules"] * (8**H <= ENUMERABLE)
+
+
 def _jobs(
-    part: str, family: str, seed: int, H: int, solvers: Iterable[str], limit: float
+    part: str, kind: str, family: str, seed: int, H: int, solvers: Iterable[str], limit: float
 ) -> list[Row]:
-    shared = {"part": part, "family": family, "seed": seed, "H": H, "W": 8, "limit": limit}
-    return [shared | {"solver": solver} for solver in solvers]
+    shared = {"part": part, "kind": kind, "family": family, "seed": seed, "H": H, "W": 8}
+    return [shared | {"limit": limit, "solver": solver} for solver in solvers]
 
 
 def run(jobs: list[Row], repeat: int, folder: str) -> list[Row]:
     """Measure all jobs; our solvers `repeat` times, the others once."""
     rows = []
     for job in tqdm(jobs, disable=None):
-        file = Path(folder) / "{family}-{seed}-{H}.npz".format_map(job).replace("/", "-")
+        file = Path(folder) / "{kind}-{family}-{seed}-{H}.npz".format_map(job).replace("/", "-")
         if not file.exists():
-            store(instance(job["family"], job["seed"], job["H"]), str(file))
-        often = repeat if job["solver"] in ("solve", "branch_and_bound") else 1
+            np.savez(file, **arguments(draw(job)))
+        often = repeat if job["solver"] in OURS else 1
         request = {"file": str(file), "solver": job["solver"], "limit": job["limit"]}
         answer = run_alone(
             "contenders.py", request | {"repeat": often}, often * (2 * job["limit"] + 60)
         )
         rows.append(job | {"closed": False} | answer)
     return rows
+
+
+def draw(job: Row) -> SelectionProblem:
+    family, kind, seed, H = (job[key] for key in ("family", "kind", "seed", "H"))
+    return constrained(family, kind, seed, H) if kind else instance(family, seed, H)
 
 
 def compare(rows: list[Row]) -> None:
@@ -74,7 +111,8 @@ def compare(rows: list[Row]) -> None:
     over the cost of `solve`.
     """
     for best, row in pairs(rows):
-        row["excess"] = (row["cost"] - best["cost"]) / abs(best["cost"])
+        excess = (row["cost"] - best["cost"]) / abs(best["cost"])
+        row["excess"] = excess if abs(excess) > 1e-12 else 0.0  # else rounding
         if "bound" in row:
             largest = max(abs(row["cost"]), abs(row["bound"])) or 1.0
             row["gap"] = (row["cost"] - row["bound"]) / largest
@@ -84,7 +122,9 @@ def check(rows: list[Row]) -> None:
     """Hold every schedule found against our proofs."""
     for best, row in pairs(rows):
         rounding = OPTIMALITY_GAP * abs(best["cost"])
-        where = f"{row['solver']} on {row['family']}, seed {row['seed']}, H = {row['H']}"
+        where = (
+            f"{row['solver']} on {row['kind']} {row['family']}, seed {row['seed']}, H = {row['H']}"
+        )
         assert best["bound"] <= row["cost"] + rounding, f"{where}: below our lower bound"
         proved = best["cost"] if best["closed"] else best["bound"]
         assert proved <= row["cost"] + rounding, f"{where}: below our proved optimum"
@@ -92,7 +132,7 @@ def check(rows: list[Row]) -> None:
 
 def pairs(rows: list[Row]) -> Iterator[tuple[Row, Row]]:
     """Every row with a schedule, beside that of `solve` on the same instance."""
-    for group in by(rows, "part", "family", "seed", "H").values():
+    for group in by(rows, "part", "kind", "family", "seed", "H").values():
         best = next(row for row in group if row["solver"] == "solve")
         yield from ((best, row) for row in group if "cost" in row)
 
@@ -109,15 +149,27 @@ def times(rows: list[Row]) -> str:
     known = sorted(row["seconds"] for row in rows if "seconds" in row)
     if not known:
         return "-"
-    cut = any(not row["closed"] for row in rows)
-    shown = [seconds(value) for value in (median(known), known[-1])]
-    return shown[0] if shown[0] == shown[1] else f"{shown[0]} ({'>' * cut}{shown[1]})"
+    cut = min((row["seconds"] for row in rows if was_cut(row)), default=float("inf"))
+    shown = [
+        ("> " if value >= cut else "") + seconds(value) for value in (median(known), known[-1])
+    ]
+    return shown[0] if shown[0] == shown[1] else f"{shown[0]} ({shown[1]})"
+
+
+def was_cut(row: Row) -> bool:
+    return not row["closed"] and row.get("seconds", 0) >= 0.9 * row["limit"]
 
 
 def largest(rows: list[Row], key: str, form: str = "{:.0e}") -> str:
     known = [row[key] for row in rows if key in row]
     missing = "none" if len(known) < len(rows) else ""
     return missing or form.format(max(max(known), 0))
+
+
+def excess(rows: list[Row]) -> str:
+    """The largest excess cost, after the least where that is a schedule better than ours."""
+    least = min((row["excess"] for row in rows if "excess" in row), default=0)
+    return f"{least:.0e} to " * (least < 0) + largest(rows, "excess")
 
 
 def solver_row(label: Row, rows: list[Row]) -> dict[str, str]:
@@ -127,22 +179,23 @@ def solver_row(label: Row, rows: list[Row]) -> dict[str, str]:
         "seconds: median (longest)": times(rows),
         "closed": f"{sum(row['closed'] for row in rows)} of {len(rows)}",
         "largest gap": largest(rows, "gap"),
-        "largest excess cost": largest(rows, "excess"),
+        "largest excess cost": excess(rows),
         "memory, MB": largest(rows, "memory", "{:.0f}"),
         "remark": "; ".join(sorted({remark(row) for row in rows} - {""})),
     }
 
 
 def remark(row: Row) -> str:
-    """Why there is no time, if there is none."""
-    return "" if "seconds" in row else row["status"]
+    """Why there is no time or no cost, if there is none."""
+    return "" if "seconds" in row and ("cost" in row or "choices" not in row) else row["status"]
 
 
-def solver_table(rows: list[Row], key: str) -> str:
+def solver_table(rows: list[Row], *keys: str) -> str:
     """A line on every solver, for every family or size."""
-    groups = by(rows, key, "solver")
+    keys = (*keys, "solver")
+    groups = by(rows, *keys)
     return table(
-        [solver_row({key: value, "solver": s}, group) for (value, s), group in groups.items()]
+        [solver_row(dict(zip(keys, values, strict=True)), rows) for values, rows in groups.items()]
     )
 
 
@@ -167,34 +220,51 @@ def duels(rows: list[Row]) -> list[Row]:
     Where SCIP was cut off it counts with the time it had: the ratio is then a lower bound.
     """
     answer = []
-    for (family, _), group in by(part(rows, "full"), "family", "seed").items():
+    for (kind, family, _), group in by(part(rows, "full"), "kind", "family", "seed").items():
         mine = next(row for row in group if row["solver"] == "solve")
         scip = faster_form(group)
         ratio = scip.get("seconds", float("nan")) / mine["seconds"]
-        answer.append({"family": family, "mine": mine, "scip": scip, "ratio": ratio})
+        pair = {"mine": mine, "scip": scip, "ratio": ratio}
+        answer.append({"kind": kind, "family": family} | pair)
     return answer
+
+
+def factor(pairs: list[Row]) -> str:
+    """The median ratio; one side cut off leaves a bound on it, both leave nothing."""
+    cut = tuple(any(not duel[side]["closed"] for duel in pairs) for side in ("mine", "scip"))
+    if all(cut):
+        return "-"
+    ratio = median(duel["ratio"] for duel in pairs)
+    sign = {(False, False): "", (False, True): ">= ", (True, False): "<= "}[cut]
+    return sign + (f"{ratio:.0f}" if ratio >= 10 else f"{ratio:.2g}")
 
 
 def headline(rows: list[Row]) -> str:
     """The table that README quotes: a line a family."""
     lines = []
-    for (family,), group in by(duels(rows), "family").items():
+    for (kind, family), group in by(duels(rows), "kind", "family").items():
         mine, scip = ([duel[side] for duel in group] for side in ("mine", "scip"))
-        cut = ">= " * any(not row["closed"] for row in scip)
-        lines.append(
-            {
-                "family": family,
-                "ours, s": times(mine),
-                "SCIP, s": times(scip),
-                "times faster": f"{cut}{median(duel['ratio'] for duel in group):.0f}",
-                "ours proved": f"{sum(row['closed'] for row in mine)} of {len(mine)}",
-                "SCIP closed": f"{sum(row['closed'] for row in scip)} of {len(scip)}",
-                "SCIP's gap": largest(scip, "gap"),
-                "memory, MB: ours, SCIP": ", ".join(
-                    largest(side, "memory", "{:.0f}") for side in (mine, scip)
-                ),
+        line = {"kind": kind} if kind else {}
+        line |= {
+            "family": family,
+            "ours, s": times(mine),
+            "SCIP, s": times(scip),
+            "times faster": factor(group),
+            "ours proved": f"{sum(row['closed'] for row in mine)} of {len(mine)}",
+            "SCIP closed": f"{sum(row['closed'] for row in scip)} of {len(scip)}",
+            "SCIP's gap": largest(scip, "gap"),
+            "memory, MB: ours, SCIP": ", ".join(
+                largest(side, "memory", "{:.0f}") for side in (mine, scip)
+            ),
+        }
+        if kind:
+            line |= {
+                "our gap": largest(mine, "gap"),
+                "SCIP's excess cost": excess(scip),
+                "labels": largest(mine, "labels", "{}"),
+                "switches": f"{median(row['switches'] for row in mine):.0f}",
             }
-        )
+        lines.append(line)
     return table(lines)
 
 
@@ -260,27 +330,43 @@ def claims(rows: list[Row], options: argparse.Namespace) -> list[dict[str, str]]
 
 
 def report(rows: list[Row], options: argparse.Namespace, facts: Row) -> str:
+    extra = ("kind",) if options.constrained else ()
+    if options.constrained:
+        opening = [
+            "# Switching costs and a budget\n",
+            families.__doc__.split("\n\n")[-1],
+            CONSTRAINED,
+        ]
+    else:
+        opening = ["# Our solvers beside others\n", "## Claims\n", table(claims(rows, options))]
+    opening.insert(1, "Made by `benchmarks/peers.py`; costs are recomputed from the schedules.\n")
     sections = [
-        "# Our solvers beside others\n",
-        "Made by `benchmarks/peers.py`; costs are recomputed from the schedules.\n",
-        "## Claims\n",
-        table(claims(rows, options)),
+        *opening,
         f"## H = {options.horizon}, W = 8, instances a family: {options.seeds}\n",
         headline(rows),
         "Each solver:\n",
-        solver_table(part(rows, "full"), "family"),
+        solver_table(part(rows, "full"), *extra, "family"),
         "## Sizes that the others hold, W = 8, one instance of each family\n",
-        solver_table(part(rows, "small"), "H"),
+        solver_table(part(rows, "small"), *extra, "H"),
         NOTES.format(repeat=options.repeat, limit=options.limit, small=options.small_limit),
         about(facts) + "\n",
     ]
     return "\n".join(sections)
 
 
+CONSTRAINED = """\
+SCIP takes switches as flows y[t, v, w] >= 0 between the binaries of adjacent steps, milp as its
+products of those, and both a budget as one row.  SCIP runs in one form, that which closes more of
+the families without constraints.  `round_and_swap`: what `solve` knows before it searches.
+*labels*: most that a step of the search kept.  *times faster*: a bound where one of the two was cut
+off, none where both were.
+"""
+
 NOTES = """\
 *seconds*: the call to the solver alone, by the wall clock; median over instances and in brackets
-the longest, where each instance counts with the median of {repeat} runs of ours and one run of
-the others.  `>`: cut off by the time limit, {limit:g} s ({small:g} s for the smaller sizes).
+the longest, where each instance counts with the median of {repeat} runs of ours, fewer where they
+take the limit together, and one run of the others.  `>`: cut off by the time limit, {limit:g} s
+({small:g} s for the smaller sizes).
 *closed*: the solver itself claims a proof; ours at a relative gap of 1e-9, the others within their
 feasibility tolerance of about 1e-6, hence their larger *gap*, which is the one between recomputed
 cost and their bound.  *none*: no schedule was found on some instance.  *excess cost*: over the
@@ -288,29 +374,47 @@ cost of `solve`.  *memory*: peak of a process with nothing but this solver.
 
 The others get the problem in units in which our first schedule costs 1 and the largest bias of
 every step is 1.  SCIP: binaries b, d = sum b mu, z = U d with Psi = U'U, and min theta + l.b with
-either one cone |z|^2 <= theta or a parabola z_k^2 <= theta_k for each row; the first table takes
-the faster for every instance.  (With d'Psi d written out, SCIP found no schedule at H = 150 in
-20 s.)  Gurobi: d'Psi d + l.b under its free licence, which holds 200 variables.  milp: a variable
-for every product of binaries, by Adams and Sherali 1986, which closes more than McCormick's rows.
+either one cone |z|^2 <= theta or a parabola z_k^2 <= theta_k for each row; where both ran, the
+first table takes the faster for every instance.  (With d'Psi d written out, SCIP found no schedule
+at H = 150 in 20 s.)  Gurobi: d'Psi d + l.b under its free licence, which holds 200 variables.
+milp: a variable for every product of binaries, by Adams and Sherali 1986, which closes more than
+McCormick's rows.
 """
 
 
 def parse(arguments: list[str] | None = None) -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--families", nargs="+", choices=FAMILIES, default=FAMILIES)
+    parser.add_argument(
+        "--constrained",
+        nargs="*",
+        choices=KINDS,
+        metavar="KIND",
+        help=f"with switching costs, a budget or both: of {', '.join(KINDS)}, all if none is named",
+    )
+    parser.add_argument("--families", nargs="+", choices=FAMILIES)
     parser.add_argument("--horizon", type=int, default=150)
     parser.add_argument("--seeds", type=int, default=3, help="instances a family")
     parser.add_argument("--repeat", type=int, default=5, help="runs of our solvers, for a median")
     parser.add_argument("--limit", type=float, default=60, help="seconds, H = 150")
-    parser.add_argument("--small-horizons", type=int, nargs="*", default=[7, 12, 20])
+    parser.add_argument("--small-horizons", type=int, nargs="*", help="default: 7 12 and maybe 20")
     parser.add_argument("--small-limit", type=float, default=20, help="seconds, smaller sizes")
     parser.add_argument("--output", type=Path, help="folder; default: results/ beside this script")
     parser.add_argument("--quick", action="store_true", help="a smoke test of under a minute")
     options = parser.parse_args(arguments)
+    has_kinds = options.constrained is not None
+    if has_kinds:
+        options.constrained = options.constrained or KINDS
+    if has_kinds and options.families and not set(options.families) <= set(TEXTBOOK):
+        parser.error("--constrained: only of the textbook landing's families")
     if options.quick:
-        options.families = [ONE_SIGN[0], MIXED_SIGNS[-1]]
+        options.families = [MIXED_SIGNS[-1]] if has_kinds else [ONE_SIGN[0], MIXED_SIGNS[-1]]
         options.seeds, options.repeat, options.limit, options.small_limit = 1, 2, 2, 2
-        options.small_horizons = [7]
+        options.small_horizons = [4] if has_kinds else [7]
+        options.horizon = 12 if has_kinds else options.horizon
+    if options.families is None:
+        options.families = TEXTBOOK if has_kinds else FAMILIES
+    if options.small_horizons is None:
+        options.small_horizons = [7, 12] if has_kinds else [7, 12, 20]
     return options
 
 
@@ -324,8 +428,10 @@ def main() -> None:
     print(text)
     quick = Path(tempfile.gettempdir()) / "modelselect-quick"
     output = options.output or (quick if options.quick else RESULTS)
-    data = {"machine": facts, "claims": claims(rows, options), "rows": rows}
-    save(output, "peers", text, data)
+    data = {"machine": facts, "rows": rows}
+    if not options.constrained:
+        data["claims"] = claims(rows, options)
+    save(output, "constrained" if options.constrained else "peers", text, data)
     check(rows)
 
 
