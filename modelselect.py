@@ -142,9 +142,8 @@ __version__ = "0.2.0"
 OPTIMALITY_GAP = 1e-9
 SEARCH_SLACK = 1e-10
 MERGING = 30
-PERTURBATIONS = 50
-#: Labels that the passes of `dynamic_program` keep a step.
-WIDTHS = [64 * 8**k for k in range(8)]
+PERTURBATIONS = 50  #: trials of `local_search.perturbed`, where two passes did not prove
+WIDTHS = [64 * 8**k for k in range(8)]  #: labels that the passes of `dynamic_program` keep a step
 
 
 def __getattr__(name: str) -> tuple[str, ...]:
@@ -320,11 +319,8 @@ def _cheapest(problem: SelectionProblem, schedules: Choices) -> tuple[Choices, f
     costs = np.where(problem.is_feasible(schedules), costs, np.inf)
     upper = (costs + rounding).min()
     close = np.flatnonzero(costs - rounding <= upper)
-    if (
-        not math.isfinite(upper)
-        or rounding[close].max() <= EXACT_BELOW * abs(upper)
-        or len(close) > 1000
-    ):
+    clear = not math.isfinite(upper) or rounding[close].max() <= EXACT_BELOW * abs(upper)
+    if clear or len(close) > 1000:
         return schedules[costs.argmin()], float((costs - rounding).min())
     exact = [problem.exact_cost(c) for c in schedules[close]]
     return schedules[close[exact.index(min(exact))]], float(min(exact))
@@ -890,8 +886,8 @@ def pareto_front(
     while budget >= least - problem._limit_slack:
         found = solve(now, time_limit=None if time_limit is None else max(0.0, time_left()))
         if not found.is_optimal:
-            left = f"from perception {budget:g} down to {least:g}"
-            warnings.warn(f"pareto_front: not proved {left}", stacklevel=2)
+            left = f"not proved from perception {budget:g} down to {least:g}"
+            warnings.warn("pareto_front: " + left, stacklevel=2)
             break
         if front and closes(OPTIMALITY_GAP, 0.0)(found.cost, front[-1].cost):
             front.pop()  # as good for control, and spends less
