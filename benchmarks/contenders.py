@@ -14,8 +14,10 @@ from __future__ import annotations
 import itertools
 import json
 import sys
+import tempfile
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 from statistics import median
 from time import perf_counter, process_time
 from typing import Any, NamedTuple
@@ -151,8 +153,10 @@ def _scip(problem: SelectionProblem, limit: float, *, split: bool) -> Attempt:
     model.hideOutput()
     model.setParams({"limits/time": limit, "limits/gap": OPTIMALITY_GAP})
     b = _scip_model(model, easy, split)
-    with Clock() as clock:
-        model.optimize()
+    with tempfile.TemporaryDirectory() as folder:
+        _without_metis(model, folder)
+        with Clock() as clock:
+            model.optimize()
     status, choices = model.getStatus(), None
     if model.getNSols():
         best = model.getBestSol()
@@ -160,6 +164,17 @@ def _scip(problem: SelectionProblem, limit: float, *, split: bool) -> Attempt:
     bound = model.getDualbound() if model.getDualbound() > -model.infinity() else -np.inf
     closed = status in ("optimal", "gaplimit")
     return Attempt(choices, bound * easy.unit, clock, closed, status)
+
+
+def _without_metis(model: Any, folder: str) -> None:
+    """Let the Ipopt inside SCIP, which its heuristics call, order sparse matrices by AMD.
+
+    METIS, the default, ends the process in pyscipopt 6.3's wheels: "free(): invalid pointer".
+    """
+    if "nlpi/ipopt/optfile" in model.getParams():
+        file = Path(folder) / "ipopt.opt"
+        file.write_text("mumps_pivot_order 0\n", encoding="utf-8")
+        model.setParam("nlpi/ipopt/optfile", str(file))
 
 
 def _scip_model(model: Any, easy: Scaled, split: bool) -> list[list[Any]]:

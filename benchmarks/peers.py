@@ -376,9 +376,9 @@ The others get the problem in units in which our first schedule costs 1 and the 
 every step is 1.  SCIP: binaries b, d = sum b mu, z = U d with Psi = U'U, and min theta + l.b with
 either one cone |z|^2 <= theta or a parabola z_k^2 <= theta_k for each row; where both ran, the
 first table takes the faster for every instance.  (With d'Psi d written out, SCIP found no schedule
-at H = 150 in 20 s.)  Gurobi: d'Psi d + l.b under its free licence, which holds 200 variables.
-milp: a variable for every product of binaries, by Adams and Sherali 1986, which closes more than
-McCormick's rows.
+at H = 150 in 20 s.)  Its Ipopt orders matrices by AMD: METIS ends in a crash in pyscipopt 6.3.
+Gurobi: d'Psi d + l.b under its free licence, which holds 200 variables.  milp: a variable for every
+product of binaries, by Adams and Sherali 1986, which closes more than McCormick's rows.
 """
 
 
