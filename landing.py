@@ -279,7 +279,7 @@ def run_experiment(
             raise ValueError(f"{name}: the costs overflow, found {price:g}")
     suite = replace(suite, cost=suite.cost * upsilon)
     posed = (Psi, suite.mean, suite.variance, suite.cost, run.alpha, run.beta)
-    switch_cost = run.switch_cost * (1 - np.eye(len(suite.names)))
+    switch_cost = run.switch_cost * (1 - np.eye(len(suite.names))) if run.switch_cost else None
     problem = SelectionProblem(*posed, switch_cost=switch_cost, budget=run.budget)
     started = perf_counter()
     optimal = ms.solve(problem)

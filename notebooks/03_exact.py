@@ -547,8 +547,8 @@ assert wide.root_bound < narrow.lower_bound < wide.cost <= narrow.cost
 # to run and the most wrong. But blends cancel even better, so the relaxation is too optimistic,
 # and reduced costs alone no longer prove anything. The first pass ran out of places and dropped
 # labels, but what it dropped had a least extra cost. That raised the proved bound above the
-# root's, and its better schedule narrowed the budget of the second pass, which dropped nothing: a
-# proof.
+# root's, and its better schedule narrowed the budget of the next pass. The last one dropped nothing:
+# a proof.
 
 # %% alt="Partial schedules against steps decided, on a log scale. All of them: a straight line up to 10 to the power 135. Those that reduced costs do not rule out: up to 10 to the power 18. The labels kept stay below 1000 throughout and end at one."
 _, reduced_cost = ms.reference_bound(mixed, wide.reference)

@@ -1170,3 +1170,8 @@ def test_script_runs_from_the_shell():
         "json",
     ):
         assert f"--{option}" in helped.stdout
+
+
+def test_a_landing_without_switching_costs_poses_a_problem_that_has_none():
+    # Zeros in their place cost nothing, but blends refused them.
+    assert run_experiment(Settings(horizon=4, trials=1)).problem.switch_cost is None
