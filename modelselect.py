@@ -47,13 +47,14 @@ paper's letters are used, unpacked in the first lines.
 
 Tolerances.  All are relative.  A matrix of unit diagonal counts as symmetric, and an eigenvalue per
 row as non-negative, up to MATRIX_TOLERANCE = 1e-12: a thousand times what rounding leaves in a
-product of double-precision matrices; what is let pass is taken out.  A sum of k terms errs by at
-most k half units in the last place of the sum of their sizes (`SelectionProblem.cost_rounding`, the
-certificate): bounds are lowered by that much, and a cost of which it is more than EXACT_BELOW =
-1e-10 is summed in fractions where that takes no time, at up to EXACT_SIZE = 100 errors pH.  The
-label search may give away SEARCH_SLACK = 1e-10 of the cost, or the cost's rounding where that is
-more, or MERGING = 30 roundings where they alone are too many for a proof; its bound is lowered by
-all that it gives away.  So a gap of OPTIMALITY_GAP = 1e-9 counts as proved.
+product of matrices; what is let pass is taken out, but for the last digits, which bounds allow for
+(`SelectionProblem.defect`; exact at up to EXACT_ROWS = 32 rows).  A sum of k terms errs by at most
+k half units in the last place of the sum of their sizes (`cost_rounding`, the certificate): bounds
+are lowered by that much, and a cost of which it is more than EXACT_BELOW = 1e-10 is summed in
+fractions where that takes no time, at up to EXACT_SIZE = 100 errors pH.  A budget is kept up to
+1e-12 of it.  The label search may give away SEARCH_SLACK = 1e-10 of the cost, or the cost's
+rounding where that is more, or MERGING = 30 roundings where they alone are too many for a proof;
+its bound is lowered by all that it gives away.  So a gap of OPTIMALITY_GAP = 1e-9 counts as proved.
 
 >>> one = np.eye(1)  # an integrator that plans ahead
 >>> task = ControlTask(A=one, B=one, C=one, Q=one, R=one, horizon=4)
@@ -108,15 +109,13 @@ from modelselect_parts.descent import (
     relative_gap,
     step_lengths,
 )
+from modelselect_parts.error_costs import ErrorCost, correlated_cost, error_cost
 from modelselect_parts.hardness import maximum_cut_problem, partition_problem
 from modelselect_parts.interior_point import congruence, interior_point
 from modelselect_parts.problem import (
     EXACT_BELOW,
     EXACT_SIZE,
-    ErrorCost,
     SelectionProblem,
-    correlated_cost,
-    error_cost,
     from_one_hot,
     is_separable,
     one_hot,
@@ -202,7 +201,7 @@ def reference_bound(
 
     r >= 0 what the cheapest path through (t, w) costs more.  Without switching costs the cheapest
     path is sum_t min_w G[t,w], and the sum of all r[t, w_t] may stand there.  Rounding is taken
-    off: total(c) is not less, in exact numbers.
+    off, of Psi too (`problem.defect`): total(c) is not less, in exact numbers.
     """
     d = check_array("reference", reference, "pH", (len(problem.psi),))
     found = _certificate(problem, d, check_number("multiplier", multiplier, minimum=0))
@@ -219,8 +218,7 @@ def _certificate(problem: SelectionProblem, d: Array, multiplier: float) -> trel
 def check_certificate(problem: SelectionProblem, schedule: Schedule) -> float:
     """Derive a schedule's root bound and its cost anew, trusting no solver; return the bound.
 
-    A `lower_bound` above it was proved by a search, a minimum per step, or the prices, and is not
-    re-derived here.
+    A `lower_bound` above it was proved by a search, a minimum per step, or the prices: not here.
     ValueError if the schedule is not feasible, does not state this bound and its own cost (up to
     rounding), or a lower bound outside of them.  `Schedule.proof` says whether this is all of it.
     """
@@ -258,8 +256,8 @@ def _certified(
 ) -> Schedule:
     """Make a Schedule, with the better bound of the certificate and what a search has `proved`.
 
-    As Psi is semidefinite, LB(0, 0) is a bound as well; without a pull so are the cheapest prices,
-    as no trace(Psi_tt Sigma) is negative.
+    LB(0, 0) is a bound as well: the better one where errors cancel.  So are the cheapest prices,
+    to the last digit, without a pull: no variance costs less than 0.
     """
     cost, rounding = problem._accurate_cost(choices)
     points = ((point.reference, point.multiplier), (np.zeros(len(point.reference)), 0.0))
@@ -267,9 +265,11 @@ def _certified(
         ((_certificate(problem, *pair).bound, *pair) for pair in points),
         key=lambda triple: triple[0],
     )
-    cheapest = problem._priced(problem._price, np.inf).min(axis=1)
+    lent = trellis.lacking(problem.form, 0 * d)
+    cheapest = (problem._priced(problem._price, np.inf) - lent).min(axis=1)
     floor = float(cheapest.sum() - len(cheapest) * trellis.EPS * np.abs(cheapest).sum())
-    lower = max(root, floor if problem.pull is None else root, min(proved, cost - rounding))
+    plain = problem.pull is None and problem.variance.ndim == 3
+    lower = max(root, floor if plain else root, min(proved, cost - rounding))
     return Schedule(choices, cost, min(cost, lower), root, d, solver, work, multiplier)
 
 
@@ -868,33 +868,33 @@ def pareto_front(
     proof.  Weights reach the corners of the front's convex hull only, budgets every point.  The
     problem's own `budget` is where the front begins.
 
-    Points of equal control up to OPTIMALITY_GAP count as one.  With real-valued prices there can be
-    tens of thousands: then state a resolution.  Where `time_limit` seconds end first, or rounding
-    leaves a gap, a warning says what is open beyond the proved points.  After each of them,
-    `progress` is called with the share of the range of perception that is done, up to 1.
+    Points of equal control up to OPTIMALITY_GAP count as one; real-valued prices can give tens of
+    thousands: then state a resolution.  Where `time_limit` seconds, or rounding, leave a gap, a
+    warning says what is open.  `progress` is called with the share of the range done, up to 1.
     """
     resolution = check_number("resolution", resolution, minimum=0)
     time_left, now = _stopwatch(time_limit), replace(problem, alpha=1.0, beta=0.0)
     tolls = 0.0 if problem.switch_cost is None else problem.switch_cost
     prices = np.append(problem._price[np.isfinite(problem._price)], tolls)
     whole = bool((prices == np.floor(prices)).all() and np.abs(prices).max() < 2**53)
-    step = max(resolution, float(whole), 4 * problem._limit_slack)
     cheapest = trellis.cheapest_path(problem._price, problem.switch_cost)
     least, most = float(problem.perception_term(cheapest)), -math.inf
     budget = math.inf if problem.budget is None else problem.budget
     front: list[Schedule] = []
-    while budget >= least - problem._limit_slack:
+    while True:
         found = solve(now, time_limit=None if time_limit is None else max(0.0, time_left()))
         if not found.is_optimal:
             left = f"not proved from perception {budget:g} down to {least:g}"
             warnings.warn("pareto_front: " + left, stacklevel=2)
-            break
+            return front
         if front and closes(OPTIMALITY_GAP, 0.0)(found.cost, front[-1].cost):
             front.pop()  # as good for control, and spends less
         front.append(found)
         spent = float(problem.perception_term(found.choices))
+        step = max(resolution, float(whole), 4 * problem._spending_slack(spent))
         most, budget = max(most, spent), spent - step
-        now = replace(now, budget=max(budget, least))
         if progress is not None:
             progress((most - budget) / (most - least) if budget > least else 1.0)
-    return front
+        if spent <= least or budget < least - problem._spending_slack(least):
+            return front
+        now = replace(now, budget=max(budget, least))

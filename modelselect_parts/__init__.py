@@ -5,7 +5,8 @@ semidefinite      semidefinite matrices up to rounding: judged, mended, factored
 checks            the one checker of arguments, the types of array
 regulator         paper II: the task, its controllers, what each knows, and Psi
 trellis           the certificate, on bare arrays
-problem           paper III: which model to run at each step; what correlated errors cost
+problem           paper III: which model to run at each step
+error_costs       what single models cost, and what errors that correlate over time cost
 hardness          why it is hard: PARTITION and MAXIMUM CUT as model selection
 descent           projected gradient with its duality gap
 interior_point    the fast relaxation, on bare arrays

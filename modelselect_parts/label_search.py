@@ -240,8 +240,7 @@ def search(
     state, spent = np.zeros(1, dtype=np.intp), np.zeros(1)
     before = np.zeros(H) if before is None else before
     trail: list[tuple[Choices, Choices]] = []
-    for t in reversed(range(H)):
-        step = steps[t]
+    for t, step in reversed(list(enumerate(steps))):
         models = np.flatnonzero(moves[t].min(axis=0) <= given.budget)
         own = deviation[t, models] @ U[t * p : (t + 1) * p, t * p : (t + 1) * p].T
         felt = ((y @ step.read.T)[:, None] + own) ** 2
@@ -274,14 +273,14 @@ def search(
     least = min(given.budget, dropped, float(extra.min(initial=math.inf)))
     least += triangle.constant - given.total
     legal = np.where(spent <= purse.limit, extra, math.inf)  # a grain over it proves, and is none
-    best = int(legal.argmin()) if (legal < math.inf).any() else None
-    choices = None if best is None else _traced(trail, best)
-    return Pass(choices, least, dropped == math.inf, labels)
+    return Pass(_traced(trail, legal), least, dropped == math.inf, labels)
 
 
-def _traced(trail: list[tuple[Choices, Choices]], label: int) -> Choices:
-    """Follow a label of step 0 to the last step, by parents and models of every step."""
-    choices = []
+def _traced(trail: list[tuple[Choices, Choices]], extra: Array) -> Choices | None:
+    """Follow the least label of step 0, if any is finite, by parents and models of every step."""
+    if not (extra < math.inf).any():
+        return None
+    choices, label = [], extra.argmin()
     for parents, models in reversed(trail):
         choices.append(models[label])
         label = parents[label]

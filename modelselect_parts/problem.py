@@ -1,13 +1,11 @@
 r"""Section III of the paper: which model to run at each step, as a problem to be solved.
 
-The symbols are those of the table in modelselect.py.  Beside the problem stands what single models
-would cost if they ran at every step, and what errors that correlate over time cost.
+The symbols are those of the table in modelselect.py.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import KW_ONLY, dataclass
 from fractions import Fraction
 from functools import cached_property
@@ -224,17 +222,26 @@ class SelectionProblem(Frozen):
     @cached_property
     def _limit(self) -> float:
         """The most that a feasible schedule may spend."""
-        return math.inf if self.budget is None else self.budget + self._limit_slack
+        return math.inf if self.budget is None else self.budget + self._spending_slack(self.budget)
 
-    @property
-    def _limit_slack(self) -> float:
-        """1e-12 of the most that could be spent: sums in another order differ by less."""
-        return 1e-12 * self._most_spent
+    def _spending_slack(self, spent: float) -> float:
+        """1e-12 of the sizes that a schedule adds up to this: sums in another order differ by less.
+
+        What negative prices pay back stands among them twice.
+        """
+        refunds = np.maximum(-self._price.min(axis=1), 0).sum()
+        return float(1e-12 * (abs(spent) + 2 * refunds))
+
+    @cached_property
+    def defect(self) -> float:
+        """What psi lacks of being semidefinite: psi + defect diag(psi) is, in exact numbers."""
+        return trellis.semidefinite_defect(self.psi)
 
     @cached_property
     def form(self) -> trellis.Form:
         """The bare arrays that the engines work on."""
-        form = trellis.Form(self.quadratic, self.mean, self.linear, self.linear_size)
+        arrays = (self.quadratic, self.mean, self.linear, self.linear_size)
+        form = trellis.Form(*arrays, defect=self.defect)
         switch, limited = self.switch_cost, self.budget is not None
         if switch is not None and switch.any() and (self.beta > 0 or limited):
             form = form._replace(arc=frozen(self.beta * switch), toll=switch if limited else None)
@@ -333,8 +340,9 @@ class SelectionProblem(Frozen):
 
 def stepwise_cost(problem: SelectionProblem) -> Array:
     """Cost (H, W) of each model at each step alone: alpha mu'Psi_tt mu + l, coupling ignored."""
-    own = np.einsum("twi,tij,twj->tw", problem.mean, problem.blocks, problem.mean)
-    return np.asarray(problem.alpha * own + problem.linear)
+    weighed = problem.alpha * problem.blocks
+    own = np.einsum("twi,tij,twj->tw", problem.mean, weighed, problem.mean)
+    return np.asarray(own + problem.linear)
 
 
 def is_separable(problem: SelectionProblem) -> bool:
@@ -343,62 +351,3 @@ def is_separable(problem: SelectionProblem) -> bool:
     felt = (problem.mean != 0).any(axis=1).ravel() & (problem.alpha != 0)
     meets = ((problem.psi != 0) & felt[:, None] & felt).reshape(H, p, H, p).any(axis=(1, 3))
     return problem.form.bare and not (meets & ~np.eye(H, dtype=bool)).any()
-
-
-@dataclass(frozen=True, eq=False)
-class ErrorCost:
-    """What each model would cost the controller if it ran at every step (see `error_cost`)."""
-
-    mean_square: Array  #: (W,), mean squared error per step: what model cards print
-    uncoupled: Array  #: (W,), sum_t trace(Psi_tt E[e_t e_t']): what follows from squared errors
-    bias: Array  #: (W,), mu'Psi mu
-    noise: Array  #: (W,), sum_t trace(Psi_tt Sigma_t)
-
-
-def error_cost(problem: SelectionProblem) -> ErrorCost:
-    """Split the control cost of each model into bias and noise, beside its mean squared error.
-
-    Noise costs what its square says: ``noise`` is part of ``uncoupled``.  A bias also meets
-    itself at other steps, through the blocks Psi_tk: it costs more than its square where the
-    products add up and less where they cancel, so two models of equal squared error can differ
-    either way.  bias + noise is the control term, unweighted and without a pull; uncoupled alone
-    is what greedy selection sees.
-    """
-    H, W, _ = problem.mean.shape
-    always = np.repeat(np.arange(W)[:, None], H, axis=1)
-    noise = problem.spread.sum(axis=0)
-    own = np.einsum("twi,tij,twj->w", problem.mean, problem.blocks, problem.mean)
-    variance = problem.variance
-    if variance.ndim == 4:
-        variance = np.diagonal(variance, axis1=-2, axis2=-1)
-    mean_square = (problem.mean**2 + variance).sum(axis=-1).mean(axis=0)
-    mu = problem.chosen_mean(always)
-    return ErrorCost(mean_square, own + noise, ((mu @ problem.psi) * mu).sum(axis=1), noise)
-
-
-def correlated_cost(
-    problem: SelectionProblem,
-    choices: npt.ArrayLike,
-    covariance: Callable[[int, int, int, int], npt.ArrayLike],
-) -> float:
-    """Return the exact expected total cost of `choices` (H,) whose errors correlate over time.
-
-    alpha (mu_c'Psi mu_c + sum_{t,k} sum(Psi_tk * Cov[e_t, e_k]) + g'mu_c) + beta perception_term,
-    an extension of ``eq:expTmp1``, whose assumption of independence keeps the terms t = k only.
-    covariance(t, w, k, v), (p, p) or a number where p = 1, is that of model w's error at step t
-    with model v's at step k, in the place of `problem.variance`.
-    """
-    H, W, p = problem.mean.shape
-    c = check_choices(choices, H, W)
-
-    def block(t: int, k: int) -> Array:
-        found = as_numbers("covariance", covariance(t, int(c[t]), k, int(c[k])))
-        found = found.reshape(1, 1) if p == 1 and found.ndim == 0 else found
-        return check_array("covariance", found, "p p", (p, p))
-
-    joint = np.block([[block(t, k) for k in range(H)] for t in range(H)])
-    check_semidefinite("covariance", joint)
-    mu = problem.chosen_mean(c)
-    control = mu @ problem.psi @ mu + (problem.psi * joint).sum()
-    control += 0.0 if problem.pull is None else problem.pull.ravel() @ mu
-    return float(problem.alpha * control + problem.beta * problem.perception_term(c))

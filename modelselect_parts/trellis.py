@@ -24,6 +24,7 @@ tight.  Who found it does not matter.  Without arcs the cheapest path is sum_t m
 
 from __future__ import annotations
 
+import contextlib
 import math
 from fractions import Fraction
 from typing import Any, NamedTuple
@@ -33,7 +34,8 @@ import numpy.typing as npt
 
 from modelselect_parts.checks import Array, Choices
 
-EPS: float = float(np.finfo(float).eps)
+EPS, TINY = float(np.finfo(float).eps), float(np.finfo(float).tiny)
+EXACT_ROWS = 32  # elimination in integers takes milliseconds
 
 
 class Form(NamedTuple):
@@ -47,6 +49,7 @@ class Form(NamedTuple):
     price: Array | None = None  #: (H, W), finite; None: no limit
     toll: Array | None = None  #: (W, W), what moves spend; None where arc is
     limit: float = math.inf  #: the most that a schedule may spend
+    defect: float = 0.0  #: M + defect diag(M) is semidefinite, in exact numbers
 
     @property
     def bare(self) -> bool:
@@ -141,7 +144,9 @@ def certificate(form: Form, d: Array, multiplier: float = 0.0) -> Certificate:
     """LB(d, lam), from which all that rounding may have added has been taken away.
 
     Where terms cancel, the bound is low, not wrong: with path(c) of `node` and A = form.priced,
-    total(c) >= base + path(c) + lam (K - spent(c)) + (mu_c - d)'M(mu_c - d) holds of exact numbers.
+    total(c) >= base + path(c) + lam (K - spent(c)) + e'(M + D)e, e = mu_c - d, holds of exact
+    numbers.  D = defect diag(M) is what M may lack of being semidefinite; D e^2 depends on one
+    step's model only, so it is taken off the nodes.
     """
     M, mean, linear = form.M, form.mean, form.linear
     unit, (H, _, p) = rounding_unit(M, mean), mean.shape
@@ -150,7 +155,8 @@ def certificate(form: Form, d: Array, multiplier: float = 0.0) -> Certificate:
         G, constant = slopes(form, d, multiplier)
         felt = np.abs(M) @ np.abs(d)
         size = 2 * np.einsum("twi,ti->tw", np.abs(mean), felt.reshape(H, p)) + form.size
-        G = np.where(np.isfinite(linear), G - unit * (size + np.abs(price)), np.inf)
+        G = G - unit * (size + np.abs(price)) - lacking(form, d)
+        G = np.where(np.isfinite(linear), G, np.inf)
         lowest = G.min(axis=1)
         common = np.abs(linear.min(axis=1)).sum() + np.abs(lowest).sum()
         if multiplier and form.price is not None:
@@ -163,6 +169,13 @@ def certificate(form: Form, d: Array, multiplier: float = 0.0) -> Certificate:
         least = paths[-1].min()  # a sum of 2H non-negative numbers, each of a few roundings
         bound = base + least * (1 - (2 * len(node) + 8) * EPS) - EPS * abs(base)
     return Certificate(float(bound), np.maximum(paths - least, 0), float(base), node)
+
+
+def lacking(form: Form, d: Array) -> Array:
+    """Return what the diagonal of M has to lend at most, defect sum_i M_ii e_i^2, (H, W)."""
+    H, _, p = form.mean.shape
+    root = np.sqrt(form.defect * np.abs(form.M.diagonal())).reshape(H, 1, p)
+    return np.asarray(((root * (form.mean - d.reshape(H, 1, p))) ** 2).sum(axis=-1))
 
 
 def relaxed(form: Form, b: Array) -> tuple[float, float, Array]:
@@ -204,3 +217,25 @@ def exact_product(A: Array, B: Array) -> Fraction:
     """Return the sum of A * B, entry by entry, of these very floats, in rational arithmetic."""
     (left, common), (right, scale) = as_integers(A), as_integers(B)
     return Fraction((left * right).sum(), common * scale)
+
+
+def semidefinite_defect(A: Array) -> float:
+    """Return tau >= 0 such that A + tau diag(A) is semidefinite, in exact numbers.
+
+    tau = 0 is proved by Cholesky's method with a reserve for its own rounding (Demmel 1989; Rump
+    2006), or, of a singular A of up to EXACT_ROWS rows, by elimination in integers (Bareiss 1968).
+    Otherwise tau is what rounding may hide of an eigenvalue that `check_semidefinite` let pass.
+    """
+    A = A[np.ix_(A.any(axis=1), A.any(axis=1))]
+    k, root = len(A), np.sqrt(np.maximum(A.diagonal(), TINY))
+    with contextlib.suppress(np.linalg.LinAlgError):
+        np.linalg.cholesky(A / root / root[:, None] - k * (k + 8) * EPS * np.eye(k))
+        return 0.0
+    if k > EXACT_ROWS:
+        return 8 * k * EPS
+    (S, _), before = as_integers(A), 1
+    while len(S) and (pivot := S.diagonal().max()) > 0:
+        i = int(S.diagonal().argmax())
+        column, rest = np.delete(S[:, i], i), np.delete(np.delete(S, i, 0), i, 1)
+        S, before = (pivot * rest - np.multiply.outer(column, column)) // before, pivot
+    return 8 * k * EPS if S.any() else 0.0

@@ -47,7 +47,7 @@ class Purse(NamedTuple):
     spend: Array | None  #: (H, states, W), what a move spends
     ahead: Array | None  #: (H, W), the least that the steps before this one spend
     limit: float
-    size: float  #: the most that a schedule might spend
+    size: float  #: no schedule within the limit sums more, sizes added
     grain: float  #: how far a sum of what a schedule spends may be off, per step
 
 
@@ -72,7 +72,8 @@ def factor(form: Form, found: Certificate, d: Array, multiplier: float, excess: 
         # More than 1e-6 gains nothing: rounding leaves eps / sqrt(1e-6) = 2e-13 of a row in U.
         share = min(1e-6, max(slack, 0.0) / 100 / max(size**2 @ diagonal, TINY))
         shift = (share + 2 * MATRIX_TOLERANCE * len(diagonal)) * diagonal + TINY
-        shifted = node - np.einsum("twi,ti->tw", deviation**2, shift.reshape(H, p))
+        lent = (shift - form.defect * diagonal).reshape(H, p)  # the rest is off the nodes already
+        shifted = node - np.einsum("twi,ti->tw", deviation**2, lent)
         shifted = np.where(useful, shifted, np.inf)
         lowest = shifted.min(axis=1)
         lowest[lowest == np.inf] = 0  # no model is of use: no schedule beats the best known
@@ -118,9 +119,7 @@ def purse(form: Form, multiplier: float) -> Purse:
         tolls = np.concatenate([np.broadcast_to(form.toll.T, (H - 1, W, W)), np.zeros((1, W, W))])
         spend = spend + tolls
     ahead = forward(price, form.toll) - np.where(price < np.inf, price, 0)
-    largest = np.abs(form.price).max(axis=1).sum()
-    largest += 0.0 if form.toll is None else H * form.toll.max()
-    size = float(largest) + TINY
+    size = abs(form.limit) + 2 * float(np.maximum(-price.min(axis=1), 0).sum()) + TINY
     return Purse(multiplier, spend, ahead, form.limit, size, 4 * EPS * size)
 
 

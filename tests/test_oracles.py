@@ -54,6 +54,8 @@ Relaxation.gap | test_the_gap_of_a_relaxation_is_zero_where_value_and_bound_meet
 project_to_simplex | test_projection_is_the_nearest_point_of_the_simplex | angles to all vertices (variational inequality)
 projected_gradient | test_projected_gradient_meets_bounded_least_squares | SciPy's bounded least squares
 relax relax_interior_point | test_relaxations_agree_with_a_general_convex_solver | cvxpy with Clarabel
+tests/test_sound.py
+SelectionProblem.defect | test_what_a_matrix_lacks_of_being_semidefinite_is_found_or_bounded | elimination in fractions
 tests/test_constrained.py
 relax_by_columns | test_column_generation_meets_newtons_method_where_both_apply | the interior point
 pareto_front | test_the_front_is_that_of_all_schedules | the front of all schedules
