@@ -82,7 +82,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from modelselect_parts import column_generation, label_search, local_search, trellis
+from modelselect_parts import column_generation, label_search, local_search, segments, trellis
 from modelselect_parts import triangle as triangles
 from modelselect_parts.blends import Blend, BlendProblem, sdp_blocks, solve_blend
 from modelselect_parts.checks import (
@@ -135,6 +135,7 @@ from modelselect_parts.regulator import (
     run_controller,
 )
 from modelselect_parts.semidefinite import semidefinite_root
+from modelselect_parts.sensitivity import Sensitivity, sensitivity
 
 __version__ = "0.2.0"
 
@@ -227,10 +228,11 @@ def check_certificate(problem: SelectionProblem, schedule: Schedule) -> float:
         raise ValueError("schedule.choices: expected available models within the budget")
     cost, rounding = problem._accurate_cost(schedule.choices)
     d = np.abs(schedule.reference)
-    unit = trellis.rounding_unit(problem.quadratic, problem.mean)
+    unit = trellis.rounding_unit(problem.mean)
     rounding += float(problem.cost_rounding(schedule.choices))  # Psi is semidefinite up to that
     paid = abs(schedule.multiplier * problem._limit) if schedule.multiplier else 0.0
-    rounding += 4 * unit * float(d @ np.abs(problem.quadratic) @ d + abs(bound) + abs(cost) + paid)
+    felt = float(trellis.form_size(problem.form.M, d))
+    rounding += 4 * unit * (felt + abs(bound) + abs(cost) + paid)
     claims = (("cost", schedule.cost, cost), ("root_bound", schedule.root_bound, bound))
     for name, stated, found in claims:
         if not (math.isfinite(found) and abs(stated - found) <= rounding):
@@ -337,7 +339,7 @@ def solve_separable(problem: SelectionProblem) -> Schedule:
     alone = stepwise_cost(problem)
     mean, blocks = np.abs(problem.mean), problem.alpha * np.abs(problem.blocks)
     size = np.einsum("twi,tij,twj->tw", mean, blocks, mean) + problem.linear_size
-    unit = trellis.rounding_unit(problem.quadratic, mean)
+    unit = trellis.rounding_unit(mean)
     proved = float((alone - unit * size).min(axis=1).sum())
     choices = alone.argmin(axis=1)
     return _certified(problem, choices, _at(problem, choices), "solve_separable", proved)
@@ -497,7 +499,10 @@ def _relax(
         return trellis.relaxed(form, b)
 
     limits["max_iterations"] = max_iterations
-    weights, steps = interior_point(form.M, form.mean, usable, evaluate, closed, **limits)
+    if not isinstance(form.M, np.ndarray):
+        weights = segments.relax_in_windows(form, usable, closed, **limits)
+        return _relaxation(problem, form, weights)
+    weights, steps = interior_point(form.matrix, form.mean, usable, evaluate, closed, **limits)
     return _relaxation(problem, form, weights, steps)
 
 
@@ -543,6 +548,8 @@ def _swap(
 ) -> tuple[Choices, int]:
     """Improve a schedule by more than rounding; count the changes of the first descent."""
     noise = max(problem.rounding, float(problem.cost_rounding(choices)))
+    if not isinstance(problem.form.M, np.ndarray):  # a product takes as long as a pass
+        return choices, 0
     choices, changes = local_search.descend(problem.form, choices, noise, time_left)
     return local_search.perturbed(problem.form, choices, trials, noise, time_left), changes
 
@@ -615,7 +622,7 @@ def dynamic_program(
     262144, takes a gigabyte or two where it is needed).  One that had to drop labels proves the
     least that those cost; one that did not proves the optimum.  A better schedule found by one
     pass shrinks the budget of the next; from the fourth on labels also go by what the steps before
-    must add at least (`label_search.prefix_bounds`).  Ends with the gap, or after `time_limit`
+    must add at least (`segments.bounds_ahead`).  Ends with the gap, or after `time_limit`
     seconds with what is proved by then; `relaxation`, of `relax_interior_point` by default, gives d
     and the first schedule.
     `work` holds the labels kept at every step of the last pass, whether it was complete (a gap is
@@ -641,6 +648,7 @@ def _searched(
     root, purse = given.base, triangles.purse(form, first.multiplier)
     labels, passes, complete = np.zeros(len(problem.mean), dtype=np.intp), 0, False
     parts = ahead = None
+    turn = -1 if isinstance(form.M, Sensitivity) and form.M.forward else 1  # it begins at the end
 
     def expired() -> bool:
         return time_left() <= 0
@@ -653,18 +661,19 @@ def _searched(
             best, _ = _swap(problem, best, time_left, PERTURBATIONS)
             cost = problem._accurate_cost(best)[0]
         slack = _slack(problem, best, cost)
-        parts = parts or label_search.prepared(form, given, point, cost - root, slack, expired)
+        parts = parts or segments.prepared(form, given, point, cost - root, slack, expired)
         triangle, least, steps = parts
         excess = max(0.0, cost - root - triangle.constant)
         if not steps:
             break
-        if passes == 3 and not complete:
-            ahead = label_search.prefix_bounds(triangle, steps, excess, slack, expired)
+        if passes == (1 if segments.is_long(problem.mean) else 3) and not complete:
+            known = best[::turn]
+            ahead = segments.bounds_ahead(triangle, steps, known, excess, slack, expired)
         lost = label_search.losses(triangle, steps, purse, excess, slack, least)
         found = label_search.search(triangle, steps, purse, lost, width, expired, ahead)
-        labels, passes, complete, before = found.labels, passes + 1, found.complete, cost
+        labels, passes, complete, before = found.labels[::turn], passes + 1, found.complete, cost
         if found.choices is not None:
-            better, _ = _swap(problem, found.choices, time_left)
+            better, _ = _swap(problem, found.choices[::turn], time_left)
             if problem.is_feasible(better) and (lower := problem._accurate_cost(better)[0]) < cost:
                 best, cost = better, lower
         summing = 4 * trellis.EPS * (abs(root) + abs(found.least))
@@ -780,7 +789,7 @@ def _narrowed(
     narrowed = allowed & (reduced <= cost - bound)
     narrowed[np.arange(H), reduced.argmin(axis=1)] = True
     away = (problem.mean - point.reference.reshape(H, 1, p)) ** 2
-    weight = problem.quadratic.diagonal().reshape(H, 1, p)
+    weight = form.M.diagonal().reshape(H, 1, p)
     blur = (point.weights * (away * weight).sum(axis=-1)).sum(axis=1)
     return bound, narrowed, int(np.where(narrowed.sum(axis=1) > 1, blur, -1.0).argmax())
 

@@ -48,7 +48,7 @@ def columns(
     Stops, too, when the bound exceeds `ceiling`, without time, or after `max_iterations`; None if
     no schedule keeps the limit.
     """
-    M, mean, usable, (H, W, _) = form.M, form.mean, form.linear < np.inf, form.mean.shape
+    M, mean, usable, (H, W, _) = form.matrix, form.mean, form.linear < np.inf, form.mean.shape
     steps, limited = np.arange(H), form.price is not None
     price, toll = np.zeros((H, W)) if form.price is None else form.price, form.toll
     spend, arc = (np.where(usable, price, np.inf), toll) if limited else (form.linear, form.arc)

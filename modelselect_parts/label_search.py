@@ -3,7 +3,7 @@ r"""The exact search, on bare arrays: sphere decoding on a trellis, with dominan
 A *label* is a partial schedule, from step t to the last (see triangle.py): its excess so far, its
 offset on the rows still to come, its model where moves cost something, what it has spent where
 there is a limit.  A schedule better than the best one known has excess below what that one has.  So
-a label goes when its excess, and what the steps before must add to it (`prefix_bounds`), exceeds
+a label goes when its excess, and what the steps before must add to it (segments.py), exceeds
 this budget; when it cannot keep the limit; or when a cheaper label near it *dominates* it
 (`undominated`).  What remains is a few labels, though in the worst case exponentially many: the
 problem is NP-hard.
@@ -22,18 +22,7 @@ import numpy as np
 import numpy.typing as npt
 
 from modelselect_parts.checks import Array, Choices, Mask
-from modelselect_parts.trellis import Certificate, Form
-from modelselect_parts.triangle import (
-    EPS,
-    FREE,
-    Coordinates,
-    Purse,
-    Triangle,
-    compress,
-    excess_of,
-    factor,
-    segment,
-)
+from modelselect_parts.triangle import EPS, Coordinates, Purse, Triangle
 
 # Cells of `undominated`: the root of the budget, halved so often; the last merges equal offsets.
 GRIDS = (0, 1, 2, 3, 4, 5, 6, 7, 24)
@@ -55,10 +44,8 @@ class Losses(NamedTuple):
       pass: at most H tests merge in all, and as many roundings of a test.
     - *Spending.*  Sums in another order differ by grains, for each of which lam is paid.  A
       dominator never spends more, as sums of floats are monotone.
-    - *Rounding.*  U'U differs from M by (pH + 1) eps/2 |U|'|U| at most (Higham, Accuracy and
-      Stability, theorem 10.3).  An offset errs at every step by a few eps of its reach for each
-      term that its coordinates sum, those of the basis included, which changes the residuals as
-      truncation does.
+    - *Rounding.*  An offset errs at every step by a few eps of its reach for each term that its
+      coordinates sum, those of the basis included, which changes the residuals as truncation does.
     """
 
     budget: float  #: B: labels above it go
@@ -72,20 +59,6 @@ def negligible_strength(triangle: Triangle, excess: float, slack: float) -> floa
     H, _, p = triangle.deviation.shape
     root = math.sqrt(excess + slack)
     return slack / 8 / (2 * root * H * math.sqrt(p * H)) if root > 0 else 0.0
-
-
-def prepared(
-    form: Form,
-    found: Certificate,
-    point: tuple[Array, float],
-    excess: float,
-    slack: float,
-    expired: Callable[[], bool],
-) -> tuple[Triangle, float, list[Coordinates]]:
-    """Factor the excess over `found.base`, up to this one, at (d, lam); compress its offsets."""
-    triangle = factor(form, found, *point, excess)
-    least = negligible_strength(triangle, max(0.0, excess - triangle.constant), slack)
-    return triangle, least, compress(triangle, least, expired)
 
 
 def losses(
@@ -102,11 +75,10 @@ def losses(
     B = excess + rest + 2 x sqrt(B) + x^2: sqrt(B) = x + sqrt(excess + rest + 2 x^2) does.
     """
     H, _, p = triangle.deviation.shape
-    own = np.abs(triangle.U) @ triangle.size
     terms = max((len(step.push) for step in steps), default=0) + p
-    lengths = sum(step.reach for step in steps) + float(own.sum())
-    x = H * least * math.sqrt(p * H) + 2 * EPS * (p * H + terms + 10) * lengths
-    rest = slack / 2 + (p * H + 10) * EPS / 2 * float(own @ own) + triangle.rounding
+    lengths = sum(step.reach for step in steps) + triangle.length
+    x = H * least * math.sqrt(p * H) + 2 * EPS * (len(triangle.U) + terms + 10) * lengths
+    rest = slack / 2 + triangle.rounding
     tests = len(GRIDS)
     grains = H * (tests + 1) * purse.grain
     rest += purse.multiplier * grains
@@ -118,7 +90,7 @@ def losses(
 def undominated(
     extra: Array,
     y: Array,
-    budget: float,
+    room: Array,
     merge: float,
     expired: Callable[[], bool],
     state: Choices | None = None,
@@ -128,10 +100,10 @@ def undominated(
     """Mark the labels, sorted by extra cost, that no cheaper label nearby makes superfluous.
 
     Let i, j be labels at distance rho = |y_i - y_j|.  A completion costs them |v + y_i|^2 and
-    |v + y_j|^2 plus the same moves, and a completion of j within the budget has
-    |v + y_j|^2 <= budget - extra_j.  Since |v + y_i| <= |v + y_j| + rho, i is never worse if
+    |v + y_j|^2 plus the same moves, and |v + y_j| <= room_j for a completion of j within the
+    budget.  Since |v + y_i| <= |v + y_j| + rho, i is never worse if
 
-        extra_i + 2 rho sqrt(budget - extra_j) + rho^2 <= extra_j    (or exceeds it by `merge`).
+        extra_i + 2 rho room_j + rho^2 <= extra_j    (or exceeds it by `merge`).
 
     Where moves cost something both must be in one `state`.  Where there is a limit i must not
     have spent more, and extra - lam spent takes the place of extra: the rest of what they may spend
@@ -142,15 +114,14 @@ def undominated(
     """
     paid = extra if spent is None else extra - multiplier * spent
     alive = np.arange(len(extra)) if spent is None else np.argsort(spent, kind="stable")
-    room = np.sqrt(np.maximum(budget - extra, 0))
     hashing = np.cumprod(np.full(y.shape[1] + 2, 0x9E3779B97F4A7C15, dtype=np.uint64))
-    fruitful = True
+    fruitful, largest = True, float(room.max(initial=0))
     for halvings in GRIDS:
-        if len(alive) < 2 or expired():
+        if len(alive) < 2 or largest == 0 or expired():
             break
         if not (fruitful or halvings == GRIDS[-1]):
             continue
-        side = math.sqrt(budget) / 2**halvings
+        side = largest / 2**halvings
         corner = np.floor(y.take(alive, axis=0) / side + 0.618 * halvings)  # no common borders
         cell = corner.astype(np.int64).view(np.uint64) @ hashing[:-2]
         if state is not None:
@@ -206,6 +177,24 @@ def _cheapest_so_far(cell: npt.NDArray[np.uint64], paid: Array) -> Choices:
     return found
 
 
+class Ahead(NamedTuple):
+    """What is known of the steps before each one, which a label has yet to go through."""
+
+    least: Array  #: (H,), the least that they add to an excess, whatever comes from later steps
+    look: int  #: of them, the next so many are near
+    far: Array  #: (H,), the share of rho^2 that those which are not near feel at most
+
+    def room(self, t: int, left: Array) -> Array:
+        """Bound |v + y| by what is `left` of the budget, (labels,), in the proof of `undominated`.
+
+        Near steps have what is left less what far ones need.  Far ones might have all of it, but
+        feel little: 2 rho_near |v + y|_near + 2 rho_far |v + y|_far <= 2 rho room.
+        """
+        whole = np.sqrt(np.maximum(left, 0))
+        near = np.sqrt(np.maximum(left - self.least[max(t - self.look, 0)], 0))
+        return np.asarray(np.minimum(whole, near + math.sqrt(self.far[t]) * whole))
+
+
 class Pass(NamedTuple):
     """What one pass found and proved: see `search`."""
 
@@ -222,11 +211,9 @@ def search(
     given: Losses,
     width: int,
     expired: Callable[[], bool],
-    before: Array | None = None,
+    ahead: Ahead | None = None,
 ) -> Pass:
     """Keep at most `width` labels a step, from the last step to the first.
-
-    `before` (H,) is what the steps before each one add at least (`prefix_bounds`), 0 by default.
 
     A schedule is over the budget, or descends from a label that was dropped, or has a survivor
     that is no worse, up to the losses: so no schedule's excess is below the least of the three,
@@ -234,19 +221,19 @@ def search(
     known then, to which callers limit the claim.  A later pass may reuse the basis: its excess is
     smaller, so no model that it needs was ruled out, and `losses` is given the same `least`.
     """
-    moves, deviation, U = triangle.moves, triangle.deviation, triangle.U
-    (H, states, _), p, limited = moves.shape, deviation.shape[2], purse.spend is not None
-    extra, y, dropped = np.zeros(1), np.zeros((1, 0)), math.inf
+    moves, deviation = triangle.moves, triangle.deviation
+    (H, states, _), limited = moves.shape, purse.spend is not None
+    extra, y, dropped = np.zeros(1), np.zeros((1, steps[-1].read.shape[1])), math.inf
     state, spent = np.zeros(1, dtype=np.intp), np.zeros(1)
-    before = np.zeros(H) if before is None else before
+    ahead = ahead or Ahead(np.zeros(H), H, np.zeros(H))
     trail: list[tuple[Choices, Choices]] = []
     for t, step in reversed(list(enumerate(steps))):
         models = np.flatnonzero(moves[t].min(axis=0) <= given.budget)
-        own = deviation[t, models] @ U[t * p : (t + 1) * p, t * p : (t + 1) * p].T
+        own = deviation[t, models] @ step.own.T
         felt = ((y @ step.read.T)[:, None] + own) ** 2
         move = moves[t][:, models][state] if states > 1 else moves[t, 0, models]
         grown = extra[:, None] + move + felt.sum(axis=-1)
-        within = grown + before[t] <= given.budget
+        within = grown + ahead.least[t] <= given.budget
         if purse.spend is not None and purse.ahead is not None:
             spend = purse.spend[t, :, models].T
             total = spent[:, None] + (spend[state] if len(spend) > 1 else spend)
@@ -260,10 +247,11 @@ def search(
         state = models[child] if states > 1 else np.zeros(len(child), dtype=np.intp)
         spent = total[parent, child] if limited else np.zeros(len(child))
         who = (state if states > 1 else None, spent if limited else None, purse.multiplier)
-        kept = np.flatnonzero(undominated(extra, y, given.budget, given.merge, expired, *who))
+        room = ahead.room(t, given.budget - extra)
+        kept = np.flatnonzero(undominated(extra, y, room, given.merge, expired, *who))
         most = min(width, 64) if expired() else width  # out of time: finish on a narrow beam
         if len(kept) > most:
-            dropped = min(dropped, float(extra[kept[most]] + before[t]))
+            dropped = min(dropped, float(extra[kept[most]] + ahead.least[t]))
         kept = kept[:most]
         extra, y, state, spent = extra[kept], y.take(kept, axis=0), state[kept], spent[kept]
         trail.append((parent[kept], models[child[kept]]))
@@ -285,32 +273,3 @@ def _traced(trail: list[tuple[Choices, Choices]], extra: Array) -> Choices | Non
         choices.append(models[label])
         label = parents[label]
     return np.array(choices, dtype=np.intp)
-
-
-def prefix_bounds(
-    triangle: Triangle,
-    steps: list[Coordinates],
-    excess: float,
-    slack: float,
-    expired: Callable[[], bool],
-) -> Array:
-    """Return R[t], (H,): steps before t add no less to an excess, whatever comes from later ones.
-
-    Russian dolls (Verfaillie, Lemaitre and Schiex 1996): search the first sixth of the steps, with
-    that the first third, with both the first half, and so on.  Spending is free.  A search that has
-    to drop labels still proves something, so short ones do.
-    """
-    H = len(steps)
-    R, stride = np.zeros(H + 1), -(-H // 6)
-    for b in range(stride, H, stride):
-        doll, least_known = segment(triangle, steps, 0, b, excess), excess
-        weak = negligible_strength(doll, excess, slack)
-        coordinates = compress(doll, weak, expired)
-        for width in (64, 512) if coordinates else ():
-            given = losses(doll, coordinates, FREE, least_known, slack, weak)
-            found = search(doll, coordinates, FREE, given, width, expired, R)
-            R[b:] = max(R[b], found.least)
-            if found.complete or found.choices is None:
-                break
-            least_known = min(least_known, excess_of(doll, found.choices))
-    return R[:-1]

@@ -39,7 +39,7 @@ def swap(
     Step t moves by D = mu[t, w] - mu[t, w_t], and mu_c'M mu_c by 2 D'(M mu_c)_t + D'M_tt D.  Over
     the limit, the swap that costs least per unit saved comes first.
     """
-    M, mean, (H, _, p), c, swaps = form.M, form.mean, form.mean.shape, choices.copy(), 0
+    M, mean, (H, _, p), c, swaps = form.matrix, form.mean, form.mean.shape, choices.copy(), 0
     steps = np.arange(H)
     pull, blocks = M @ mean[steps, c].ravel(), M.reshape(H, p, H, p)[steps, :, steps]
     while time_left() > 0 and swaps < 100 * H:  # rounding that runs in circles comes to an end
@@ -87,8 +87,8 @@ def _best_interval(form: Form, c: Choices, w: int) -> tuple[float, int, int]:
     H, _, p = form.mean.shape
     steps, now = np.arange(H), form.mean[np.arange(H), c]
     D = form.mean[:, w] - now
-    felt = (form.M @ now.ravel()).reshape(H, p)
-    coupled = np.einsum("ti,tisj,sj->ts", D, form.M.reshape(H, p, H, p), D)
+    felt = (form.matrix @ now.ravel()).reshape(H, p)
+    coupled = np.einsum("ti,tisj,sj->ts", D, form.matrix.reshape(H, p, H, p), D)
     corner = np.pad(coupled.cumsum(axis=0).cumsum(axis=1), ((1, 0), (1, 0)))
     change = corner.diagonal()[None, 1:] - corner[:-1, 1:] - corner[1:, :-1].T
     change = change + corner.diagonal()[:-1, None] + _interval_sum(2 * (D * felt).sum(axis=1))
@@ -159,4 +159,4 @@ def _cost(form: Form, c: Choices) -> float:
     if form.price is not None and path_sum(form.price, form.toll, c) > form.limit:
         return math.inf
     mu = form.mean[np.arange(len(c)), c].ravel()
-    return float(mu @ form.M @ mu + path_sum(form.linear, form.arc, c))
+    return float(mu @ form.matrix @ mu + path_sum(form.linear, form.arc, c))

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from modelselect_parts import trellis
+from modelselect_parts import exact, trellis
 from modelselect_parts.checks import (
     Array,
     Choices,
@@ -28,9 +28,11 @@ from modelselect_parts.checks import (
     check_semidefinite,
     frozen,
 )
+from modelselect_parts.sensitivity import Sensitivity
 
 EXACT_BELOW = 1e-10
 EXACT_SIZE = 100
+LONG = 1000  # errors pH beyond which a linear system is not written out as a matrix
 
 
 def one_hot(choices: npt.ArrayLike, models: int) -> Array:
@@ -62,8 +64,10 @@ class SelectionProblem(Frozen):
 
     Parameters
     ----------
-    psi : array_like, (pH, pH)
-        Sensitivity of the control cost, symmetric positive semidefinite; see `psi`.
+    psi : array_like, (pH, pH), or Sensitivity
+        Sensitivity of the control cost, symmetric positive semidefinite; see `psi`.  A system of
+        more than LONG = 1000 errors stays one where neither switching costs nor a budget tie steps
+        together; else it becomes its matrix.
     mean : array_like, (H, W, p)
         Mean error of each model at each step.
     variance : array_like, (H, W, p) or (H, W, p, p)
@@ -98,7 +102,7 @@ class SelectionProblem(Frozen):
     array([3.6, 3.4, 2.6, 4. ])
     """
 
-    psi: Array
+    psi: Array | Sensitivity
     mean: Array
     variance: Array
     model_cost: Array
@@ -111,11 +115,16 @@ class SelectionProblem(Frozen):
     pull: Array | None = None
 
     def __post_init__(self) -> None:
-        names = ("psi", "mean", "variance", "model_cost")
+        names = ("mean", "variance", "model_cost")
         raw = {name: as_numbers(name, getattr(self, name)) for name in names}
-        Psi = check_array("psi", self.psi, "pH pH", 2 * (raw["psi"].shape[-1:] or (None,)))
-        shape = raw["mean"].shape
-        p = shape[-1] if len(shape) == 3 and shape[-1] and len(Psi) % shape[-1] == 0 else 1
+        shape, Psi = raw["mean"].shape, self.psi
+        free = self.switch_cost is None and self.budget is None
+        if isinstance(Psi, Sensitivity) and len(Psi) > LONG and free:
+            p = Psi.own.shape[2]
+        else:
+            square = 2 * (np.shape(Psi)[-1:] or (None,))
+            Psi = check_array("psi", Psi, "pH pH", square)
+            p = shape[-1] if len(shape) == 3 and shape[-1] and len(Psi) % shape[-1] == 0 else 1
         mean = check_array("mean", self.mean, "H W p", (len(Psi) // p, None, p))
         H, W, _ = mean.shape
         axes = "H W p p" if raw["variance"].ndim == 4 else "H W p"
@@ -125,7 +134,8 @@ class SelectionProblem(Frozen):
         cost = check_array("model_cost", self.model_cost, axes, sizes, finite=False)
         if np.isneginf(cost).any() or np.isinf(cost).all(axis=-1).any():
             raise ValueError("model_cost: expected a finite cost at every step, found none or -inf")
-        Psi = check_semidefinite("psi", Psi)
+        if isinstance(Psi, np.ndarray):
+            Psi = check_semidefinite("psi", Psi)
         if variance.ndim == 4:
             variance = check_semidefinite("variance", variance)
         else:
@@ -169,13 +179,15 @@ class SelectionProblem(Frozen):
 
     @cached_property
     def quadratic(self) -> Array:
-        """Return alpha Psi, (pH, pH)."""
-        return frozen(self.alpha * self.psi)
+        """Return alpha Psi as a matrix (pH, pH), be it of a long system."""
+        return frozen(self.alpha * np.asarray(self.psi))
 
     @cached_property
     def blocks(self) -> Array:
         """Diagonal blocks Psi_tt, (H, p, p)."""
         H, _, p = self.mean.shape
+        if isinstance(self.psi, Sensitivity):
+            return self.psi.blocks
         return frozen(self.psi.reshape(H, p, H, p)[np.arange(H), :, np.arange(H)])
 
     @cached_property
@@ -235,13 +247,17 @@ class SelectionProblem(Frozen):
     @cached_property
     def defect(self) -> float:
         """What psi lacks of being semidefinite: psi + defect diag(psi) is, in exact numbers."""
-        return trellis.semidefinite_defect(self.psi)
+        if isinstance(self.psi, Sensitivity):
+            return 0.0  # a sum of squares
+        return exact.semidefinite_defect(self.psi)
 
     @cached_property
     def form(self) -> trellis.Form:
         """The bare arrays that the engines work on."""
-        arrays = (self.quadratic, self.mean, self.linear, self.linear_size)
-        form = trellis.Form(*arrays, defect=self.defect)
+        M: Array | Sensitivity = self.quadratic
+        if isinstance(self.psi, Sensitivity):
+            M = self.alpha * self.psi
+        form = trellis.Form(M, self.mean, self.linear, self.linear_size, defect=self.defect)
         switch, limited = self.switch_cost, self.budget is not None
         if switch is not None and switch.any() and (self.beta > 0 or limited):
             form = form._replace(arc=frozen(self.beta * switch), toll=switch if limited else None)
@@ -292,7 +308,7 @@ class SelectionProblem(Frozen):
     def total_cost(self, choices: npt.ArrayLike) -> Any:
         """Return alpha control_term + beta perception_term of `choices` (..., H)."""
         mu = self.chosen_mean(choices)
-        return self._total(self.quadratic, mu, self.linear, self.form.arc, choices)
+        return self._total(self.form.M, mu, self.linear, self.form.arc, choices)
 
     def is_feasible(self, choices: npt.ArrayLike) -> Any:
         """Whether `choices` (..., H) are available and keep the budget, up to rounding."""
@@ -300,19 +316,19 @@ class SelectionProblem(Frozen):
 
     def cost_rounding(self, choices: npt.ArrayLike) -> Any:
         """How far `total_cost` of `choices` (..., H) can be off: its terms' sizes, times k eps."""
-        mu, M = np.abs(self.chosen_mean(choices)), np.abs(self.quadratic)
-        unit = trellis.rounding_unit(M, self.mean)
-        return unit * self._total(M, mu, self.linear_size, self.form.arc, choices)
+        size = trellis.form_size(self.form.M, self.chosen_mean(choices))
+        singles = trellis.path_sum(self.linear_size, self.form.arc, self._check(choices))
+        return trellis.rounding_unit(self.mean) * (size + singles)
 
     def exact_cost(self, choices: npt.ArrayLike) -> Fraction:
         """Total cost of `choices` (H,), all available, in rational arithmetic on these floats."""
         c, steps = self._check(choices), np.arange(len(self.mean))
         chosen, mu = self.variance[steps, c], self.chosen_mean(choices)
         Sigma = chosen if chosen.ndim == 3 else chosen[..., None] * np.eye(chosen.shape[-1])
-        control = trellis.exact_form(self.psi, mu)
-        control += trellis.exact_product(self.blocks, Sigma.swapaxes(-1, -2))
+        control = exact.exact_form(np.asarray(self.psi), mu)
+        control += exact.exact_product(self.blocks, Sigma.swapaxes(-1, -2))
         if self.pull is not None:
-            control += trellis.exact_product(self.pull.ravel(), mu)
+            control += exact.exact_product(self.pull.ravel(), mu)
         paid = np.broadcast_to(self.model_cost, self.mean.shape[:2])[steps, c]
         if self.switch_cost is not None:
             paid = np.append(paid, self.switch_cost[c[:-1], c[1:]])
@@ -323,16 +339,21 @@ class SelectionProblem(Frozen):
     def _accurate_cost(self, choices: Choices) -> tuple[float, float]:
         """Cost of a schedule (H,), in fractions where digits cancel, and how far it may be off."""
         cost, rounding = float(self.total_cost(choices)), float(self.cost_rounding(choices))
-        small = len(self.psi) <= EXACT_SIZE
+        small = isinstance(self.psi, np.ndarray) and len(self.psi) <= EXACT_SIZE
         if not (small and EXACT_BELOW * abs(cost) < rounding and math.isfinite(cost)):
             return cost, rounding
         cost = float(self.exact_cost(choices))
         return cost, abs(cost) * trellis.EPS
 
     def _total(
-        self, M: Array, mu: Array, table: Array, arc: Array | None, choices: npt.ArrayLike
+        self,
+        M: Array | trellis.Operator,
+        mu: Array,
+        table: Array,
+        arc: Array | None,
+        choices: npt.ArrayLike,
     ) -> Any:
-        return ((mu @ M) * mu).sum(axis=-1) + trellis.path_sum(table, arc, self._check(choices))
+        return trellis.form_of(M, mu) + trellis.path_sum(table, arc, self._check(choices))
 
     def _check(self, choices: npt.ArrayLike) -> Choices:
         return check_choices(choices, *self.mean.shape[:2])
@@ -349,5 +370,7 @@ def is_separable(problem: SelectionProblem) -> bool:
     """Whether steps meet neither through Psi nor through switching costs or a budget."""
     H, _, p = problem.mean.shape
     felt = (problem.mean != 0).any(axis=1).ravel() & (problem.alpha != 0)
+    if isinstance(problem.psi, Sensitivity):
+        return problem.form.bare and not (felt.any() and problem.psi.coupled)
     meets = ((problem.psi != 0) & felt[:, None] & felt).reshape(H, p, H, p).any(axis=(1, 3))
     return problem.form.bare and not (meets & ~np.eye(H, dtype=bool)).any()

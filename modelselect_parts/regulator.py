@@ -399,17 +399,25 @@ def psi(task: ControlTask, information: str = "open_loop") -> Array:
     Psi = _squared_regret(task, information)
     if not np.isfinite(Psi).all():
         raise ValueError("task: Psi overflows; rescale the costs or C, or shorten the horizon")
-    # Where errors have next to no effect, sums cancel to what rounding leaves: that is no loss.
-    _, _, C, Q, _ = task.over_time()
-    alone = np.einsum("tij,tii->tj", C**2, np.maximum(Q[:-1], Q[1:])).max()
-    size = np.sqrt(np.maximum(Psi.diagonal(), 1e-10 * max(Psi.diagonal().max(), alone)))
+    size = felt_size(task, Psi.diagonal())
     lost = np.abs(Psi - _squared_regret(_in_other_units(task), information))
-    if (lost > PSI_TOLERANCE * size[:, None] * size + np.finfo(float).tiny).any():
+    if (lost > PSI_TOLERANCE * size[:, None] * size).any():
         raise ValueError(
             "task: Psi loses its digits: it changes with the units of the states, as a growing "
             "mode is beyond the control's or the cost's reach; remove it, or shorten the horizon"
         )
     return Psi
+
+
+def felt_size(task: ControlTask, diagonal: Array) -> Array:
+    """Return sqrt(Psi_ii), which digits count by, and no less than its rounding.
+
+    Where errors have next to no effect, sums cancel to what rounding leaves: that is no loss.
+    """
+    _, _, C, Q, _ = task.over_time()
+    alone = np.einsum("tij,tii->tj", C**2, np.maximum(Q[:-1], Q[1:])).max()
+    least = 1e-10 * max(diagonal.max(), alone)
+    return np.asarray(np.sqrt(np.maximum(diagonal, least)) + np.finfo(float).tiny)
 
 
 def _squared_regret(task: ControlTask, information: str) -> Array:

@@ -24,24 +24,38 @@ tight.  Who found it does not matter.  Without arcs the cheapest path is sum_t m
 
 from __future__ import annotations
 
-import contextlib
 import math
-from fractions import Fraction
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
-import numpy.typing as npt
 
 from modelselect_parts.checks import Array, Choices
 
-EPS, TINY = float(np.finfo(float).eps), float(np.finfo(float).tiny)
-EXACT_ROWS = 32  # elimination in integers takes milliseconds
+EPS = float(np.finfo(float).eps)
+
+
+class Operator(Protocol):
+    """A matrix that is too large to stand in memory, as products (see sensitivity.py)."""
+
+    def __len__(self) -> int: ...
+    def __matmul__(self, x: Array, /) -> Array: ...
+    def product(self, x: Array) -> tuple[Array, Array]:
+        """Return M x, and how far each entry may be off."""
+        ...
+
+    def squares(self, x: Array) -> tuple[Array, Array]:
+        """Return x'M x of the rows of x, and how far each may be off."""
+        ...
+
+    def diagonal(self) -> Array:
+        """Return the diagonal."""
+        ...
 
 
 class Form(NamedTuple):
     """The selection problem on bare arrays."""
 
-    M: Array  #: (pH, pH), positive semidefinite
+    M: Array | Operator  #: (pH, pH), positive semidefinite
     mean: Array  #: (H, W, p)
     linear: Array  #: (H, W), inf where a model is not available
     size: Array  #: (H, W), the sizes of the terms that `linear` was summed from
@@ -50,6 +64,13 @@ class Form(NamedTuple):
     toll: Array | None = None  #: (W, W), what moves spend; None where arc is
     limit: float = math.inf  #: the most that a schedule may spend
     defect: float = 0.0  #: M + defect diag(M) is semidefinite, in exact numbers
+
+    @property
+    def matrix(self) -> Array:
+        """M, which has to be an array here."""
+        if isinstance(self.M, np.ndarray):
+            return self.M
+        raise ValueError("psi: expected a matrix, as np.asarray(psi) is, found a linear system")
 
     @property
     def bare(self) -> bool:
@@ -130,14 +151,37 @@ def slopes(form: Form, d: Array, multiplier: float = 0.0) -> tuple[Array, float]
     return G, constant
 
 
-def rounding_unit(M: Array, mean: Array) -> float:
+def form_of(M: Array | Operator, x: Array) -> Any:
+    """Return x'M x of vectors x (..., pH)."""
+    if isinstance(M, np.ndarray):
+        return ((x @ M) * x).sum(axis=-1)
+    return M.squares(x.reshape(-1, len(M)))[0].reshape(x.shape[:-1])[()]
+
+
+def form_size(M: Array | Operator, x: Array) -> Any:
+    """Return sizes such that `rounding_unit` times them bounds how far `form_of` is off."""
+    if isinstance(M, np.ndarray):
+        return form_of(np.abs(M), np.abs(x))
+    found, off = M.squares(x.reshape(-1, len(M)))
+    return (found + off / (len(M) * EPS)).reshape(x.shape[:-1])[()]
+
+
+def felt_sizes(M: Array | Operator, d: Array) -> Array:
+    """Return sizes (pH,) such that `rounding_unit` times them bounds how far M d is off."""
+    if isinstance(M, np.ndarray):
+        return np.asarray(np.abs(M) @ np.abs(d))
+    found, off = M.product(d)
+    return np.abs(found) + off / (len(M) * EPS)
+
+
+def rounding_unit(mean: Array) -> float:
     """How far rounding moves a total, a bound or an entry of G, as a share of the terms summed.
 
     Sums of k terms err by at most k half units in the last place of the sum of their sizes, and
     nested sums of k and l terms by k + l: x'Mx nests two of pH.
     """
     H, _, p = mean.shape
-    return float(2 * len(M) + H + 2 * p + 10) * EPS / 2
+    return float(2 * p * H + H + 2 * p + 10) * EPS / 2
 
 
 def certificate(form: Form, d: Array, multiplier: float = 0.0) -> Certificate:
@@ -149,11 +193,11 @@ def certificate(form: Form, d: Array, multiplier: float = 0.0) -> Certificate:
     step's model only, so it is taken off the nodes.
     """
     M, mean, linear = form.M, form.mean, form.linear
-    unit, (H, _, p) = rounding_unit(M, mean), mean.shape
+    unit, (H, _, p) = rounding_unit(mean), mean.shape
     A, price = form.priced(multiplier), 0.0 if form.price is None else multiplier * form.price
     with np.errstate(over="ignore", invalid="ignore"):
         G, constant = slopes(form, d, multiplier)
-        felt = np.abs(M) @ np.abs(d)
+        felt = felt_sizes(M, d)
         size = 2 * np.einsum("twi,ti->tw", np.abs(mean), felt.reshape(H, p)) + form.size
         G = G - unit * (size + np.abs(price)) - lacking(form, d)
         G = np.where(np.isfinite(linear), G, np.inf)
@@ -194,48 +238,3 @@ def relaxed(form: Form, b: Array) -> tuple[float, float, Array]:
 def mixed(mean: Array, b: Array) -> Array:
     """Return the mean error d (pH,) of weights b (H, W)."""
     return np.asarray(np.einsum("tw,twi->ti", b, mean).ravel())
-
-
-# -------------------------------------------------------------------------- exact arithmetic
-
-
-def as_integers(array: Array) -> tuple[npt.NDArray[Any], int]:
-    """Write finite floats as integers over one common denominator, exactly."""
-    ratios = [x.as_integer_ratio() for x in np.ravel(array).tolist()]
-    common = max(d for _, d in ratios)  # a power of two, as all are
-    whole = np.array([n * (common // d) for n, d in ratios], dtype=object)
-    return whole.reshape(np.shape(array)), common
-
-
-def exact_form(M: Array, x: Array) -> Fraction:
-    """Return x'M x of these very floats, in rational arithmetic."""
-    (numbers, common), (vector, scale) = as_integers(M), as_integers(x)
-    return Fraction(vector @ numbers @ vector, common * scale**2)
-
-
-def exact_product(A: Array, B: Array) -> Fraction:
-    """Return the sum of A * B, entry by entry, of these very floats, in rational arithmetic."""
-    (left, common), (right, scale) = as_integers(A), as_integers(B)
-    return Fraction((left * right).sum(), common * scale)
-
-
-def semidefinite_defect(A: Array) -> float:
-    """Return tau >= 0 such that A + tau diag(A) is semidefinite, in exact numbers.
-
-    tau = 0 is proved by Cholesky's method with a reserve for its own rounding (Demmel 1989; Rump
-    2006), or, of a singular A of up to EXACT_ROWS rows, by elimination in integers (Bareiss 1968).
-    Otherwise tau is what rounding may hide of an eigenvalue that `check_semidefinite` let pass.
-    """
-    A = A[np.ix_(A.any(axis=1), A.any(axis=1))]
-    k, root = len(A), np.sqrt(np.maximum(A.diagonal(), TINY))
-    with contextlib.suppress(np.linalg.LinAlgError):
-        np.linalg.cholesky(A / root / root[:, None] - k * (k + 8) * EPS * np.eye(k))
-        return 0.0
-    if k > EXACT_ROWS:
-        return 8 * k * EPS
-    (S, _), before = as_integers(A), 1
-    while len(S) and (pivot := S.diagonal().max()) > 0:
-        i = int(S.diagonal().argmax())
-        column, rest = np.delete(S[:, i], i), np.delete(np.delete(S, i, 0), i, 1)
-        S, before = (pivot * rest - np.multiply.outer(column, column)) // before, pivot
-    return 8 * k * EPS if S.any() else 0.0

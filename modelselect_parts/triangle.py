@@ -35,9 +35,10 @@ class Triangle(NamedTuple):
     constant: float
     moves: Array  #: (H, states, W), non-negative, inf where the model cannot be of use
     deviation: Array  #: (H, W, p), e[t, w] = mu[t, w] - d_t
-    U: Array  #: (pH, pH), upper triangular
+    U: Array  #: (pH, pH), upper triangular; of a linear system, of no rows
     size: Array  #: (pH,), the largest |e| of a model that can be of use
-    rounding: float  #: of the moves of a schedule
+    rounding: float  #: of the moves of a schedule, and of U'U
+    length: float  #: no schedule's rows U_tt e_t and U_:t e_t are longer, summed over steps
 
 
 class Purse(NamedTuple):
@@ -63,7 +64,7 @@ def factor(form: Form, found: Certificate, d: Array, multiplier: float, excess: 
     subtracted there: the sum stays the same, and a singular M has a Cholesky factor.  That lowers
     the constant by a hundredth of the excess at most, plus what rounding needs.
     """
-    M, A, node, (H, _, p) = form.M, form.priced(multiplier), found.node, form.mean.shape
+    M, A, node, (H, _, p) = form.matrix, form.priced(multiplier), found.node, form.mean.shape
     useful = (found.reduced + (found.bound - found.base) <= max(excess, 0.0)) & (node < np.inf)
     slack = excess - (found.bound - found.base)
     while True:
@@ -89,8 +90,11 @@ def factor(form: Form, found: Certificate, d: Array, multiplier: float, excess: 
         if not beyond.any():
             break
         useful &= ~beyond  # a smaller shift will do
-    rounding = 0.0 if A is None else 8 * H * EPS * (least + max(excess, 0.0))
-    return Triangle(constant, moves, deviation, U, np.minimum(size, most), rounding)
+    size = np.minimum(size, most)
+    rows = np.abs(U) @ size  # U'U differs from M by (pH + 1) eps/2 |U|'|U| (Higham, theorem 10.3)
+    rounding = (p * H + 10) * EPS / 2 * float(rows @ rows)
+    rounding += 0.0 if A is None else 8 * H * EPS * (least + max(excess, 0.0))
+    return Triangle(constant, moves, deviation, U, size, rounding, float(rows.sum()))
 
 
 def _moves(node: Array, A: Array) -> tuple[Array, float]:
@@ -126,7 +130,8 @@ def purse(form: Form, multiplier: float) -> Purse:
 class Coordinates(NamedTuple):
     """Offsets of one step in a basis of the few directions in which they lie."""
 
-    read: Array  #: (p, r'), coordinates of step t+1 -> offset on the rows of step t
+    own: Array  #: (q, p), U_tt: e_t -> its share in the rows of step t
+    read: Array  #: (q, r'), coordinates of step t+1 -> offset on the rows of step t
     carry: Array  #: (r, r'), coordinates of step t+1 -> those of step t
     push: Array  #: (r, p), e_t -> its share in the coordinates of step t
     reach: float  #: no offset is longer than this
@@ -152,7 +157,8 @@ def compress(triangle: Triangle, least: float, expired: Callable[[], bool]) -> l
         V, strength, _ = np.linalg.svd(wide, full_matrices=False)  # SciPy's refuses no rows
         reach = math.sqrt(p * (H - t)) * float(strength.max(initial=0))
         V = V[:, strength > least]
-        steps[t] = Coordinates(basis[rows].copy(), V.T @ basis[before], V.T @ column, reach)
+        own, read = U[rows, rows].copy(), basis[rows].copy()
+        steps[t] = Coordinates(own, read, V.T @ basis[before], V.T @ column, reach)
         basis, scaled = V, V * strength[: V.shape[1]]
     return steps
 
@@ -169,29 +175,34 @@ def segment(
     `rounding` is that of excesses up to `excess`: rows err by a share of the lengths of the columns
     (Higham, theorem 19.4) and by directions of G too weak for V; y is no longer than its reach.
     """
-    moves, U, p = triangle.moves[a:b], triangle.U, triangle.deviation.shape[2]
-    free, n = len(steps[b].carry) if b < len(steps) else 0, (b - a) * p
-    rows, y = np.zeros((n, free + n)), np.eye(free, free + n)
+    moves, (q, p) = triangle.moves[a:b], steps[a].own.shape
+    n, incoming = (b - a) * p, steps[b - 1].read.shape[1]
+    free = incoming if b < len(steps) else 0
+    rows, y = np.zeros(((b - a) * q, free + n)), np.zeros((incoming, free + n))
+    y[:, :free] = np.eye(incoming, free)
     for t in reversed(range(a, b)):
-        here = np.arange((t - a) * p, (t - a + 1) * p)
+        k = t - a
+        here, errors = slice(k * q, k * q + q), slice(free + k * p, free + k * p + p)
         rows[here] = steps[t].read @ y
-        rows[np.ix_(here, free + here)] = U[t * p : (t + 1) * p, t * p : (t + 1) * p]
+        rows[here, errors] = steps[t].own
         y = steps[t].carry @ y
-        y[:, free + here] = steps[t].push
+        y[:, errors] = steps[t].push
     size, reach = triangle.size[a * p : b * p], steps[b].reach if free else 0.0
     V, strength, _ = np.linalg.svd(rows[:, :free], full_matrices=False)
     weak = strength <= 1e-12 * strength.max(initial=0)
     lengths = np.linalg.norm(rows[:, free:], axis=0) @ size + free * reach
-    off = 16 * EPS * (n + 1) * (n + free) * float(lengths)
+    off = 16 * EPS * (len(rows) + 1) * (n + free) * float(lengths)
     off += math.sqrt(free) * reach * float(strength[weak].max(initial=0))
     V = V[:, ~weak]
-    left = la.qr(np.hstack([V, rows[:, free:]]), mode="r")[0][V.shape[1] : n, V.shape[1] :]
+    k = V.shape[1]
+    left = la.qr(np.hstack([V, rows[:, free:]]), mode="r")[0][k : k + n, k:]
     if b < len(steps):
         last = np.broadcast_to(moves[-1].min(axis=0), moves[-1:].shape)
         moves = np.concatenate([moves[:-1], last])
-    rounding = triangle.rounding + 2 * off * math.sqrt(excess) + off**2
-    factor = np.vstack([left, np.zeros((n - len(left), n))])
-    return Triangle(0.0, moves, triangle.deviation[a:b], factor, size, rounding)
+    rounding = 2 * off * math.sqrt(excess) + off**2
+    U = np.vstack([left, np.zeros((n - len(left), n))])
+    length = float((np.abs(U) @ size).sum())
+    return Triangle(0.0, moves, triangle.deviation[a:b], U, size, rounding, length)
 
 
 def excess_of(triangle: Triangle, choices: Choices) -> float:

@@ -247,7 +247,8 @@ def test_compressed_offsets_keep_their_lengths(p, rank):
     chosen = e[np.arange(10), np.random.default_rng(1).integers(0, 4, 10)]
     y, offset = np.zeros(0), np.zeros(10 * p)
     for t in reversed(range(10)):
-        read, carry, push, _ = steps[t]
+        own, read, carry, push, _ = steps[t]
+        np.testing.assert_array_equal(own, U[t * p : (t + 1) * p, t * p : (t + 1) * p])
         rows = slice(t * p, (t + 1) * p)
         np.testing.assert_allclose(read @ y, offset[rows], atol=1e-8)
         y, offset = carry @ y + push @ chosen[t], offset + U[:, rows] @ chosen[t]
@@ -266,8 +267,8 @@ def test_truncated_offsets_stay_within_the_error_that_the_proof_allows(informati
         chosen = e[np.arange(H), rng.integers(0, W, H)]
         y, read = np.zeros(0), np.zeros(H)
         for t in reversed(range(H)):
-            read[t] = (steps[t][0] @ y)[0]
-            y = steps[t][1] @ y + steps[t][2] @ chosen[t]
+            read[t] = (steps[t].read @ y)[0]
+            y = steps[t].carry @ y + steps[t].push @ chosen[t]
         exact = np.triu(U, 1) @ chosen[:, 0]
         assert np.linalg.norm(read - exact) <= H * least / 3
 
@@ -281,7 +282,7 @@ def test_only_dominated_labels_are_discarded(seed, dimensions, labels, whole):
         if whole
         else rng.normal(size=(labels, dimensions)) / 10
     )
-    kept = label_search.undominated(extra, y, 1.0, 0.0, lambda: False)
+    kept = label_search.undominated(extra, y, np.sqrt(1 - extra), 0.0, lambda: False)
     assert kept[0]
     for j in np.flatnonzero(~kept):
         rho = np.linalg.norm(y[:j] - y[j], axis=1)
@@ -291,7 +292,7 @@ def test_only_dominated_labels_are_discarded(seed, dimensions, labels, whole):
 
 def test_equal_offsets_merge_although_they_differ_by_rounding():
     y = np.array([[0.1 + 0.2], [0.3], [-1e-17], [1e-17]])
-    kept = label_search.undominated(np.zeros(4), y, 1.0, 1e-10, lambda: False)
+    kept = label_search.undominated(np.zeros(4), y, np.ones(4), 1e-10, lambda: False)
     assert kept.sum() == 2
 
 

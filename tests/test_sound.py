@@ -22,6 +22,7 @@ import scipy.linalg as la
 import modelselect as ms
 from modelselect import ControlTask, SelectionProblem
 from modelselect_parts import trellis
+from modelselect_parts.exact import semidefinite_defect
 from perception import PerceptionSuite, Residuals
 
 from conftest import PROFILE
@@ -671,17 +672,17 @@ def test_what_a_matrix_lacks_of_being_semidefinite_is_found_or_bounded(rank, top
     found, rng = [], np.random.default_rng([rank, top])
     for _ in range(20):
         G = rng.integers(-top, top + 1, (rank, 6)).astype(float)
-        assert trellis.semidefinite_defect(G.T @ G) == 0
+        assert semidefinite_defect(G.T @ G) == 0
         problem = selection((G / 3).T @ (G / 3), np.ones((6, 1)), [0])
-        tau = trellis.semidefinite_defect(problem.psi)
+        tau = semidefinite_defect(problem.psi)
         lifted = problem.psi + tau * np.diag(problem.psi.diagonal())
         assert semidefinite(SelectionProblem(lifted, problem.mean, problem.variance, [0]))
         assert tau > 0 or semidefinite(problem)
         found.append(tau)
     assert (max(found) > 0) == (rank < 6)
-    assert trellis.semidefinite_defect(np.zeros((3, 3))) == 0
-    assert trellis.semidefinite_defect(np.eye(40)) == 0  # by Cholesky's method, at any size
-    assert trellis.semidefinite_defect(np.ones((40, 40))) > 0
+    assert semidefinite_defect(np.zeros((3, 3))) == 0
+    assert semidefinite_defect(np.eye(40)) == 0  # by Cholesky's method, at any size
+    assert semidefinite_defect(np.ones((40, 40))) > 0
 
 
 def test_the_relaxation_of_errors_that_cancel_names_no_argument_that_nobody_gave():

@@ -1,0 +1,188 @@
+r"""What lies far away hardly matters: parts of a horizon, each solved as a problem of its own.
+
+*Segments.*  Let e_S be the least that the steps of a segment S add to an excess, whatever offset
+comes in from later ones.  Segments share no row of U, so what they add at least adds up, and a
+label at step t may go when its excess and R_t, the sum over segments before t, exceed the budget.
+This budget is local: it does not grow with the horizon, and neither do labels.
+
+*Windows.*  Any reference point d certifies a bound; that of a long horizon is put together from
+the middles of windows that overlap.
+
+*Systems.*  Psi of a linear system (sensitivity.py) needs no factor, as it is a sum of squares, and
+no basis of offsets, as these are its states.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from modelselect_parts.checks import Array, Choices, Mask
+from modelselect_parts.interior_point import interior_point
+from modelselect_parts.label_search import Ahead, losses, negligible_strength, search
+from modelselect_parts.sensitivity import Sensitivity
+from modelselect_parts.trellis import Certificate, Form, relaxed
+from modelselect_parts.triangle import (
+    FREE,
+    Coordinates,
+    Triangle,
+    compress,
+    excess_of,
+    factor,
+    segment,
+)
+
+LAP = 100  # steps that windows overlap by, on either side
+SEGMENTS = (40, 200)  # steps of a segment, the second a multiple of the first
+FORGOTTEN = 1e-6  # share of rho^2 below which steps count as far
+WIDTHS = (64, 512, 4096)
+
+
+def is_long(mean: Array) -> bool:
+    """Whether segments side by side pay: so, too, says Form.M where it is a system."""
+    return len(mean) > 2 * SEGMENTS[-1]
+
+
+def relax_in_windows(
+    form: Form, allowed: Mask, closed: Callable[[float, float], bool], **limits: Any
+) -> Array:
+    """Return weights (H, W) for a system: of each window, those of the steps in its middle."""
+    weights: Array = allowed / allowed.sum(axis=1, keepdims=True)
+    assert isinstance(form.M, Sensitivity)
+    for a in range(0, len(weights), 2 * LAP):
+        part = slice(lo := max(0, a - LAP), a + 3 * LAP)
+        M, mean = form.M.window(part), form.mean[part]
+        evaluate = functools.partial(relaxed, Form(M, mean, form.linear[part], form.size[part]))
+        found, _ = interior_point(M, mean, allowed[part], evaluate, closed, **limits)
+        weights[a : a + 2 * LAP] = found[a - lo : a - lo + 2 * LAP]
+    return weights
+
+
+# -------------------------------------------------------------- coordinates, of either kind of Psi
+
+
+def prepared(
+    form: Form,
+    found: Certificate,
+    point: tuple[Array, float],
+    excess: float,
+    slack: float,
+    expired: Callable[[], bool],
+) -> tuple[Triangle, float, list[Coordinates]]:
+    """Write the excess over `found.base`, up to this one, at (d, lam), as a sum over steps."""
+    if isinstance(form.M, Sensitivity):
+        return _of_system(form, form.M, found, point[0], excess)
+    triangle = factor(form, found, *point, excess)
+    least = negligible_strength(triangle, max(0.0, excess - triangle.constant), slack)
+    return triangle, least, compress(triangle, least, expired)
+
+
+def _of_system(
+    form: Form, system: Sensitivity, found: Certificate, d: Array, excess: float
+) -> tuple[Triangle, float, list[Coordinates]]:
+    """Do so for a system, its last step being that with which it begins."""
+    useful = found.reduced + (found.bound - found.base) <= max(excess, 0.0)
+    moves = np.where(useful & (found.node < np.inf), found.node, np.inf)
+    deviation = np.where(
+        useful[..., None], form.mean - d.reshape(len(d) // form.mean.shape[2], 1, -1), 0
+    )
+    size = np.abs(deviation).max(axis=1)
+    length = float((np.sqrt(system.diagonal()) * size.ravel()).sum())
+    arrays = (system.own, system.read, system.carry, system.push, _reaches(system, size))
+    steps = [Coordinates(*step) for step in zip(*arrays, strict=True)]
+    turn = -1 if system.forward else 1
+    turned = (moves[::turn, None], deviation[::turn], np.zeros((0, 0)), size[::turn].ravel())
+    return Triangle(0.0, *turned, 0.0, length), 0.0, steps[::turn]
+
+
+def _reaches(system: Sensitivity, size: Array) -> Array:
+    """Bound the lengths (H,) of the states that each step hands on, for errors up to `size` (H, p).
+
+    A state sums x_k a_k over the errors so far, |a_k| <= 1.  For weights f^k, k steps back,
+    |sum_k x_k a_k|^2 <= |sum_k x_k x_k' / f^k| sum_k p f^k (Cauchy and Schwarz).
+    """
+    (_, n, p), best = system.push.shape, np.full(len(size), np.inf)
+    for f in (1.0, 0.99, 0.9):
+        S, total = np.zeros((n, n)), 0.0
+        for t in system.order():
+            push, total = system.push[t] * size[t], p + f * total
+            S = system.carry[t] @ S @ system.carry[t].T / f + push @ push.T
+            best[t] = min(best[t], math.sqrt(total * np.linalg.norm(S, 2)))
+    return best
+
+
+# ---------------------------------------------------------------------- bounds from segments
+
+
+def bounds_ahead(
+    triangle: Triangle,
+    steps: list[Coordinates],
+    known: Choices,
+    excess: float,
+    slack: float,
+    expired: Callable[[], bool],
+) -> Ahead:
+    """Bound what the steps before each one add to an excess, whatever comes from later ones.
+
+    Of a long horizon by segments side by side, long ones with the help of short ones.  Else by
+    Russian dolls (Verfaillie, Lemaitre and Schiex 1996): the first sixth of the steps, with that
+    the first third, with both the first half, and so on.  Spending is free.
+    """
+    H = len(steps)
+    R, stride = np.zeros(H + 1), -(-H // 6)
+    segments = [(0, b) for b in range(stride, H, stride)]
+    if is_long(triangle.deviation):
+        segments = [(a, min(a + k, H)) for k in SEGMENTS for a in range(0, H, k)]
+    for a, b in segments:
+        part = segment(triangle, steps, a, b, excess)
+        inside = Ahead(R[a:b] - R[a], b - a, np.zeros(b - a))
+        share = slack * (b - a) / H
+        least = _least_of(part, known[a:b], inside, excess, share, expired)
+        R[b:] += max(0.0, least - (R[b] - R[a]))
+    return Ahead(R[:-1], *forgetting(steps))
+
+
+def _least_of(
+    part: Triangle,
+    known: Choices,
+    inside: Ahead,
+    excess: float,
+    slack: float,
+    expired: Callable[[], bool],
+) -> float:
+    """Search a segment for the least that it adds; dropping labels proves something, too."""
+    least, excess = 0.0, min(excess, excess_of(part, known))
+    weak = negligible_strength(part, excess, slack)
+    steps = compress(part, weak, expired)
+    for width in WIDTHS if steps else ():
+        given = losses(part, steps, FREE, excess, slack, weak)
+        found = search(part, steps, FREE, given, width, expired, inside)
+        least = max(least, found.least)
+        if found.complete or found.choices is None:
+            break
+        excess = min(excess, excess_of(part, found.choices))
+    return least
+
+
+def forgetting(steps: list[Coordinates]) -> tuple[int, Array]:
+    """Return L and the share (H,) of rho^2 that steps more than L before each one feel at most.
+
+    L = 2k steps in a row hold k of them that begin at a multiple of k.  The norm of what these
+    carry on bounds the share, as no step makes an offset longer.
+    """
+    H, k = len(steps), LAP // 4
+    while True:
+        share = np.ones(H // k + 2)
+        for i in range(1, H // k):
+            carries = [step.carry for step in steps[i * k : (i + 1) * k]]
+            norm = float(np.linalg.norm(functools.reduce(np.matmul, carries), 2))
+            share[i] = min(1.0, norm**2)
+        first = np.maximum(-(-np.arange(H) // k) - 2, 0)
+        far = np.where(first > 0, share[first], 0.0)
+        if far.max() < FORGOTTEN or 4 * k > H:
+            return 2 * k, far
+        k *= 2

@@ -1,0 +1,243 @@
+r"""Psi as a linear system: what errors cost without any matrix of pH rows.
+
+Where a controller's wrong beliefs come from the past alone (measurement, filter), or from what it
+foresees alone (preview, causal), the rows whose squares sum to the regret (`regulator.psi`) are
+the outputs v of a system that errors drive,
+
+    v_t = read_t eta_t + own_t e_t,    eta_next = carry_t eta_t + push_t e_t,    e'Psi e = |v|^2,
+
+with as many states eta as the task has.  It runs from the last step to the first under foresight,
+the other way with memory; open_loop needs both and is no such system.  A product with Psi takes
+two sweeps, O(H n^2), forth and back:
+
+    (Psi e)_t = own_t'v_t + push_t'z,    z_next = read_t'v_t + carry_t'z_t.
+
+States can be chosen freely.  We choose those in which |eta|^2 is what eta adds to all outputs yet
+to come if no more errors do: then [read; carry] has orthonormal columns, and neither states nor
+rounding can grow on the way.
+
+>>> from modelselect_parts.regulator import ControlTask
+>>> task = ControlTask(A=[[1]], B=[[1]], C=[[1]], Q=[[1]], R=[[1]], horizon=2)
+>>> system = sensitivity(task, "preview")
+>>> np.asarray(system)
+array([[0.9, 0.3],
+       [0.3, 0.6]])
+>>> system @ np.array([1.0, -1.0])
+array([ 0.6, -0.3])
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from modelselect_parts.checks import Array, Frozen, check_array, frozen
+from modelselect_parts.regulator import (
+    PATTERNS,
+    PSI_TOLERANCE,
+    ControlTask,
+    Look,
+    _in_other_units,
+    check_information,
+    felt_size,
+)
+
+Wide = np.longdouble  # sums over ten thousand steps keep 16 digits, where machines have it
+EPS, WIDE_EPS = float(np.finfo(float).eps), float(np.finfo(Wide).eps)
+
+
+@dataclass(frozen=True, eq=False)
+class Sensitivity(Frozen):
+    """Psi as a linear system in the states that `sensitivity` chooses.
+
+    ``@`` multiplies a vector (pH,), ``np.asarray`` builds the matrix.
+    """
+
+    own: Array  #: (H, q, p)
+    read: Array  #: (H, q, n)
+    carry: Array  #: (H, n, n)
+    push: Array  #: (H, n, p)
+    forward: bool  #: whether it runs from the first step to the last
+
+    def __post_init__(self) -> None:
+        (H, q, p), n = np.shape(self.own), np.shape(self.push)[1]
+        shapes = {"own": (H, q, p), "read": (H, q, n), "carry": (H, n, n), "push": (H, n, p)}
+        for name, shape in shapes.items():
+            self._set(**{name: check_array(name, getattr(self, name), "H i j", shape)})
+
+    def __len__(self) -> int:
+        return int(self.own.shape[0] * self.own.shape[2])
+
+    def __matmul__(self, errors: npt.ArrayLike) -> Array:
+        return self.product(check_array("errors", errors, "pH", (len(self),)))[0]
+
+    def __rmul__(self, weight: float) -> Sensitivity:
+        root = math.sqrt(weight)
+        return replace(self, own=root * self.own, push=root * self.push)
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> Array:
+        H, _, p = self.own.shape
+        v, _ = self.outputs(np.eye(p * H).reshape(H, p, p * H))
+        rows = v.reshape(-1, p * H)
+        return np.asarray(rows.T @ rows, dtype)
+
+    def order(self) -> range:
+        """Return the steps in the order in which the system runs."""
+        H = len(self.own)
+        return range(H) if self.forward else range(H - 1, -1, -1)
+
+    @property
+    def coupled(self) -> bool:
+        """Whether errors of one step meet those of another."""
+        return bool(self.read.any() and self.push.any())
+
+    @cached_property
+    def blocks(self) -> Array:
+        """Diagonal blocks Psi_tt, (H, p, p): own'own + push'push, as states have that length."""
+        own, push = self.own, self.push
+        return frozen(own.swapaxes(1, 2) @ own + push.swapaxes(1, 2) @ push)
+
+    def diagonal(self) -> Array:
+        """Return the diagonal of Psi, (pH,)."""
+        return np.diagonal(self.blocks, axis1=1, axis2=2).ravel()
+
+    @cached_property
+    def _wide(self) -> tuple[npt.NDArray[Wide], ...]:
+        return tuple(x.astype(Wide) for x in (self.own, self.read, self.carry, self.push))
+
+    def outputs(self, errors: npt.NDArray[Any]) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
+        """Return v (H, q, N) and the states met (H, n, N) of `errors` (H, p, N), in their dtype."""
+        wide = errors.dtype == Wide
+        own, read, carry, push = (
+            self._wide if wide else (self.own, self.read, self.carry, self.push)
+        )
+        v, states = own @ errors, push @ errors
+        eta = np.zeros(states.shape[1:], errors.dtype)
+        for t in self.order():
+            v[t] += read[t] @ eta
+            states[t], eta = eta, carry[t] @ eta + states[t]
+        return v, states
+
+    def product(self, e: Array) -> tuple[Array, Array]:
+        """Return Psi e (pH,), and how far each entry may be off.
+
+        Every step adds to v, eta and z a rounding of k `WIDE_EPS` of what it sums; as no step
+        lengthens what it is given, these roundings add up at most.
+        """
+        own, read, carry, push = self._wide
+        H, _, p = own.shape
+        v, states = self.outputs(e.astype(Wide).reshape(H, p, 1))
+        z, costates = np.zeros(push.shape[1], Wide), np.zeros((H, push.shape[1]), Wide)
+        for t in reversed(self.order()):
+            costates[t] = z
+            z = read[t].T @ v[t, :, 0] + carry[t].T @ z
+        found = np.einsum("tqp,tq->tp", own, v[..., 0]) + np.einsum("tnp,tn->tp", push, costates)
+        column = np.sqrt(self.diagonal())
+        lengths = np.linalg.norm(np.hstack([v[..., 0], costates]).astype(float), axis=1)
+        off = self._rounding(states[..., 0], e) + self._unit * float(lengths.sum())
+        rounded = found.ravel().astype(float)
+        return rounded, 2 * off * column + EPS * np.abs(rounded)
+
+    def squares(self, errors: Array) -> tuple[Array, Array]:
+        """Return e'Psi e of `errors` (N, pH), and how far it may be off, (N,)."""
+        H, _, p = self.own.shape
+        e = errors.reshape(-1, H, p)
+        v, states = self.outputs(np.moveaxis(e, 0, -1).astype(Wide))
+        found = (v**2).sum(axis=(0, 1)).astype(float)
+        off = np.array([self._rounding(states[..., k], e[k]) for k in range(len(e))])
+        return found, 2 * np.sqrt(found) * off + off**2 + H * EPS * found
+
+    def window(self, part: slice) -> Array:
+        """Return the block of Psi of a `part` of the steps, as a matrix."""
+        own, read, carry, push = (x[part] for x in (self.own, self.read, self.carry, self.push))
+        cut, k = Sensitivity(own, read, carry, push, self.forward), own.shape[0] * own.shape[2]
+        unit = np.eye(k).reshape(len(own), -1, k)
+        v, states = cut.outputs(unit)
+        t = cut.order()[-1]
+        last = cut.carry[t] @ states[t] + cut.push[t] @ unit[t]
+        rows = np.concatenate([v.reshape(-1, k), last])
+        return np.asarray(rows.T @ rows)
+
+    @property
+    def _unit(self) -> float:
+        """What a step may lose, as a share of the lengths that it sums."""
+        q, p, n = *self.own.shape[1:], self.push.shape[1]
+        return float(2 * (q + p + n + 2) * math.sqrt(q + n + 1) * WIDE_EPS)
+
+    def _rounding(self, states: npt.NDArray[Any], e: Array) -> float:
+        """How far the outputs of e, stacked, may be off: the length of their error."""
+        H, _, p = self.own.shape
+        felt = np.sqrt(self.diagonal()).reshape(H, p) * np.abs(e.reshape(H, p))
+        return self._unit * float(np.linalg.norm(states.astype(float), axis=1).sum() + felt.sum())
+
+
+def sensitivity(task: ControlTask, information: str) -> Sensitivity:
+    """Psi of a pattern of `PATTERNS` (see `psi`) as a linear system.
+
+    ValueError for patterns that believe what comes from the past and what they foresee at once,
+    such as ``open_loop``, for which there is `psi`; or where Psi is out of reach of double
+    precision: a product with it changes with the units of the states.
+    """
+    check_information(information)
+    system = _in_felt_states(*_beliefs(task, information))
+    other = _in_felt_states(*_beliefs(_in_other_units(task), information))
+    size = felt_size(task, system.diagonal())
+    probe = np.cos(np.arange(len(size))) / size
+    found, length = system @ probe, math.sqrt(len(size))
+    if not (np.abs(found - other @ probe) <= PSI_TOLERANCE * length * size).all():
+        raise ValueError(
+            "task: Psi loses its digits, or overflows: rescale, or shorten the horizon"
+        )
+    return system
+
+
+def _beliefs(task: ControlTask, information: str) -> tuple[Array, Array, Array, Array, bool]:
+    """Write the rows of `regulator.psi` as a system: own, read, carry, push, forward.
+
+    What a controller believes wrongly of its state is m = a D + g e, D what it expected.
+    """
+    row, (A, _, C, _, _) = PATTERNS[information], task.over_time()
+    n, p = task.n, task.p
+    own, read = np.empty((task.horizon, task.m, p)), np.empty((task.horizon, task.m, n))
+    carry, push = np.empty((task.horizon, n, n)), np.empty((task.horizon, n, p))
+    remembers = False
+    for t, step in enumerate(task._roots):
+        nothing = np.zeros((n, n + p))  # of D = I and e = I, side by side
+        expected, error = np.eye(n, n + p), np.eye(p, n + p, n)
+        believed = A[t] @ row.memory(Look(nothing, expected, C[t], error)) + C[t] @ error * row.now
+        remembers |= bool(believed[:, :n].any())
+        felt = step.push @ step.F.T @ believed
+        own[t], read[t], carry[t], push[t] = (
+            felt[:, n:],
+            felt[:, :n],
+            believed[:, :n],
+            believed[:, n:],
+        )
+        if row.foresight:
+            fold = step.fold @ step.rest
+            read[t], carry[t], push[t] = step.push, fold, fold @ step.F.T @ C[t]
+    if row.foresight and remembers:
+        raise ValueError(f"information: {information!r} believes what it foresaw earlier; use psi")
+    return own, read, carry, push, not row.foresight
+
+
+def _in_felt_states(
+    own: Array, read: Array, carry: Array, push: Array, forward: bool
+) -> Sensitivity:
+    """Choose states whose length is what they add to later outputs.
+
+    T'T is the Gramian of the outputs to come, T = 0 at the end.  With [read; T carry] = O T' (QR)
+    the new states T eta have the rows of O for read and carry.
+    """
+    read, carry, push = read.copy(), carry.copy(), push.copy()
+    (H, q, _), T = read.shape, np.zeros(carry.shape[1:])
+    for t in range(H) if not forward else reversed(range(H)):
+        push[t] = T @ push[t]
+        basis, T = np.linalg.qr(np.vstack([read[t], T @ carry[t]]))
+        read[t], carry[t] = basis[:q], basis[q:]
+    return Sensitivity(own, read, carry, push, forward)

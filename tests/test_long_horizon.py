@@ -1,0 +1,296 @@
+"""Psi as a linear system, segments and windows: against matrices, fractions and every schedule."""
+
+import contextlib
+import copy
+import itertools
+import pickle
+from dataclasses import replace
+from fractions import Fraction
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import landing
+import modelselect as ms
+from modelselect import ControlTask, SelectionProblem, psi, sensitivity
+from modelselect_parts import problem as problem_part
+from modelselect_parts import segments, trellis
+from modelselect_parts import sensitivity as sensitivity_part
+from modelselect_parts.regulator import felt_size
+from modelselect_parts.sensitivity import Sensitivity
+from perception import textbook_suite
+
+from strategies import tasks
+
+SEEDS = st.integers(0, 2**32 - 1)
+SYSTEMS = ("preview", "causal", "measurement", "reckoning")
+
+
+@pytest.fixture(autouse=True, scope="module")
+def reckoning():
+    """A row with memory and no foresight: dead reckoning."""
+    row = ms.Pattern(lambda look: look.expected, True, False, False, "reckons")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(ms.PATTERNS, "reckoning", row)
+        yield
+
+
+@contextlib.contextmanager
+def short_parts():
+    """Segments of 1 and 2 steps, windows that overlap by 4, and no matrix whatever H is."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(problem_part, "LONG", 0)
+        patch.setattr(segments, "SEGMENTS", (1, 2))
+        patch.setattr(segments, "LAP", 4)
+        patch.setattr(segments, "WIDTHS", (1, 2, 64))
+        patch.setattr(ms, "WIDTHS", [1, 2, 2, 64, 4096])
+        yield
+
+
+# ------------------------------------------------------------------------------- the system
+
+
+@given(tasks(), st.sampled_from(SYSTEMS))
+def test_a_system_is_its_matrix(task, information):
+    Psi, system = psi(task, information), sensitivity(task, information)
+    size = felt_size(task, Psi.diagonal())
+    assert (np.abs(np.asarray(system) - Psi) <= 1e-9 * np.outer(size, size)).all()
+    np.testing.assert_allclose(
+        system.diagonal(), Psi.diagonal(), rtol=1e-9, atol=1e-9 * size.max() ** 2
+    )
+    H, p = task.horizon, task.p
+    off = np.abs(Psi.reshape(H, p, H, p)) > 1e-9 * np.outer(size, size).reshape(H, p, H, p)
+    off[np.arange(H), :, np.arange(H)] = False
+    assert system.coupled or not off.any()
+    assert len(system) == p * H
+
+
+def exactly(system, e):
+    """The outputs of a system and its product with e, in fractions of these very floats."""
+    number = np.vectorize(Fraction, otypes=[object])
+    own, read, carry, push = map(number, (system.own, system.read, system.carry, system.push))
+    H, e = len(own), number(e).reshape(len(own), -1)
+    eta, v = number(np.zeros(push.shape[1])), [None] * H
+    for t in system.order():
+        v[t] = read[t] @ eta + own[t] @ e[t]
+        eta = carry[t] @ eta + push[t] @ e[t]
+    z, found = number(np.zeros(push.shape[1])), [None] * H
+    for t in reversed(system.order()):
+        found[t] = own[t].T @ v[t] + push[t].T @ z
+        z = read[t].T @ v[t] + carry[t].T @ z
+    return np.concatenate(found), sum((row @ row for row in v), Fraction(0))
+
+
+@given(tasks(max_horizon=5), st.sampled_from(SYSTEMS), SEEDS)
+def test_products_and_squares_are_off_by_no_more_than_they_say(task, information, seed):
+    rng = np.random.default_rng(seed)
+    system = sensitivity(task, information)
+    e = rng.normal(size=len(system)) * 10.0 ** rng.integers(-3, 4, len(system))
+    product, square = exactly(system, e)
+    found, off = system.product(e)
+    assert all(abs(Fraction(x) - y) <= r for x, y, r in zip(found, product, off, strict=True))
+    [found], [off] = system.squares(e[None])
+    assert abs(Fraction(found) - square) <= off <= 1e-12 * found + 1e-300
+
+
+def test_states_are_as_long_as_what_they_add_to_later_outputs():
+    system = sensitivity(landing.preset("textbook", 40).task, "preview")
+    both = np.concatenate([system.read, system.carry], axis=1)
+    gram = both.swapaxes(1, 2) @ both
+    np.testing.assert_allclose(gram, np.broadcast_to(np.eye(gram.shape[1]), gram.shape), atol=1e-13)
+
+
+def test_what_is_no_system_is_refused(monkeypatch):
+    task = ControlTask([[1]], [[1]], [[1]], [[1]], [[1]], 3)
+    with pytest.raises(ValueError, match=r"^information: 'open_loop' .*use psi"):
+        sensitivity(task, "open_loop")
+    with pytest.raises(ValueError, match=r"^information: expected one of"):
+        sensitivity(task, "oracle")
+    system = sensitivity(task, "preview")
+    with pytest.raises(ValueError, match=r"^carry: expected shape"):
+        replace(system, carry=system.carry[1:])
+    with pytest.raises(ValueError, match=r"^errors: expected shape"):
+        system @ np.ones(2)
+    monkeypatch.setattr(sensitivity_part, "PSI_TOLERANCE", 0.0)
+    with pytest.raises(ValueError, match=r"^task: Psi loses its digits"):
+        sensitivity(landing.preset("published", 150).task, "preview")
+
+
+@pytest.mark.parametrize("way", [copy.copy, copy.deepcopy, lambda x: pickle.loads(pickle.dumps(x))])
+def test_copies_of_a_system_are_frozen(way):
+    system = way(sensitivity(ControlTask([[1]], [[1]], [[1]], [[1]], [[1]], 3), "preview"))
+    with pytest.raises(ValueError, match="read-only"):
+        system.own[0] = 1
+    assert np.asarray(system)[0, 0] == pytest.approx(64 / 65)
+
+
+# ------------------------------------------------------------------------ problems, and proofs
+
+
+def a_problem(seed, information=None, H=None):
+    """A task of few states, with a suite of mixed signs; as a system, and as a matrix."""
+    rng = np.random.default_rng(seed)
+    H, W, n = H or int(rng.integers(5, 9)), int(rng.integers(2, 4)), int(rng.integers(1, 3))
+    A = rng.normal(size=(n, n)) * rng.choice([0.3, 0.7, 1.0])
+    m, p = (int(rng.integers(1, 3)) for _ in range(2))
+    C = rng.normal(size=(n, p))
+    task = ControlTask(A, rng.normal(size=(n, m)), C, np.eye(n), np.eye(m), H)
+    information = information or str(rng.choice(SYSTEMS))
+    price = rng.uniform(0, 1, (H, W)) * rng.choice([0, 0.1, 1])
+    if rng.random() < 0.3:
+        price[rng.integers(H), rng.integers(W)] = np.inf
+    given = (rng.normal(size=(H, W, p)), rng.uniform(0, 0.1, (H, W, p)), price)
+    pull = rng.normal(size=(H, p)) if rng.random() < 0.3 else None
+    weights = {"alpha": float(rng.choice([0.5, 2])), "pull": pull}
+    system = SelectionProblem(sensitivity(task, information), *given, **weights)
+    return system, SelectionProblem(psi(task, information), *given, **weights)
+
+
+@given(SEEDS)
+def test_the_long_search_proves_what_every_schedule_costs(seed):
+    with short_parts():
+        problem, dense = a_problem(seed)
+        assert isinstance(problem.psi, Sensitivity)
+        H, W, _ = problem.mean.shape
+        schedules = np.array(list(itertools.product(range(W), repeat=H)))
+        costs = dense.total_cost(schedules)
+        np.testing.assert_allclose(problem.total_cost(schedules), costs, rtol=1e-9, atol=1e-9)
+        best, slack = costs.min(), 1e-9 * (1 + np.abs(costs[np.isfinite(costs)]).max())
+        found = ms.solve(problem)
+        assert abs(found.cost - best) <= slack and found.cost - found.lower_bound <= slack
+        for found in (ms.dynamic_program(problem, max_labels=2), ms.solve(problem, time_limit=0)):
+            assert found.lower_bound <= best + slack and found.cost >= best - slack
+            ms.check_certificate(problem, found)
+
+
+@given(SEEDS)
+def test_a_matrix_is_searched_by_segments_too(seed):
+    with short_parts():
+        _, dense = a_problem(seed)
+        best = ms.enumerate_schedules(dense).cost
+        for most in (1, 2, 2**12):
+            found = ms.dynamic_program(dense, max_labels=most)
+            slack = 1e-9 * (1 + abs(best))
+            assert found.lower_bound <= best + slack and found.cost >= best - slack
+        assert found.cost <= best + slack
+
+
+@given(SEEDS, st.booleans(), st.sampled_from([(1, 2), (2, 2), (1, 3), None]))
+def test_no_bound_of_segments_exceeds_what_a_schedule_adds(seed, as_system, lengths):
+    """In exact arithmetic on the rows that the search sums: dolls (None), segments."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(problem_part, "LONG", 0)
+        if lengths:
+            patch.setattr(segments, "SEGMENTS", lengths)
+        problem = a_problem(seed)[0 if as_system else 1]
+        form, d = problem.form, ms.relax_interior_point(a_problem(seed)[1]).reference
+        found = trellis.certificate(form, d)
+        best = ms.enumerate_schedules(a_problem(seed)[1])
+        excess = best.cost * np.random.default_rng(seed).choice([1, 1.2, 2]) - found.base
+        room = max(excess, 1e-12 * (1 + abs(best.cost)))
+        parts, _, steps = segments.prepared(form, found, (d, 0.0), room, 0.0, lambda: False)
+        turn = -1 if as_system and problem.psi.forward else 1
+        room = max(room - parts.constant, 1e-12)
+        known = best.choices[::turn]
+        R = segments.bounds_ahead(parts, steps, known, room, 0.0, lambda: False).least
+    assert (R >= 0).all() and (np.diff(R) >= 0).all()
+    H, W, _ = problem.mean.shape
+    for c in itertools.islice(itertools.product(range(W), repeat=H), 0, None, 7):
+        if np.isfinite(parts.moves[np.arange(H), 0, c]).all():
+            added = np.cumsum(rows_exactly(parts, steps, c))
+            if added[-1] <= room:
+                assert all(Fraction(bound) <= x for bound, x in zip(R[1:], added, strict=False))
+
+
+def rows_exactly(parts, steps, c):
+    """What each step adds to the excess of a schedule, in fractions of the very floats."""
+    number = np.vectorize(Fraction, otypes=[object])
+    H = len(steps)
+    e, added = number(parts.deviation[np.arange(H), c]), [None] * H
+    if len(parts.U):
+        rows = number(parts.U) @ e.ravel()
+        squares = (rows**2).reshape(H, -1).sum(axis=1)
+    else:
+        y, squares = number(np.zeros(steps[-1].read.shape[1])), [None] * H
+        for t in reversed(range(H)):
+            row = number(steps[t].read) @ y + number(steps[t].own) @ e[t]
+            squares[t] = row @ row
+            y = number(steps[t].carry) @ y + number(steps[t].push) @ e[t]
+    for t in range(H):
+        added[t] = Fraction(parts.moves[t, 0, c[t]]) + squares[t]
+    return added
+
+
+def test_what_far_steps_feel_is_bounded(monkeypatch):
+    monkeypatch.setattr(segments, "LAP", 40)
+    system = sensitivity(landing.preset("textbook", 150).task, "preview")
+    arrays = (system.own, system.read, system.carry, system.push, np.zeros(150))
+    steps = [segments.Coordinates(*step) for step in zip(*arrays, strict=True)]
+    look, far = segments.forgetting(steps)
+    assert look % 20 == 0 and far[look + 1 :].max() < 1
+    for t in range(look + 1, 150):
+        on = np.eye(4)
+        for k in range(t - 1, t - look - 1, -1):
+            on = steps[k].carry @ on
+        assert np.linalg.norm(on, 2) ** 2 <= far[t]
+    assert (far[: look + 1] == 0).all()
+
+
+def a_long_landing(H, signs, seed=0):
+    """The textbook aircraft over and over, in the benchmark's manner."""
+    short = landing.preset("textbook", 150).task
+    task = replace(short, horizon=H)
+    path = np.abs(50 + 50 * np.sin(np.arange(H) * 2 * np.pi / 700))
+    suite = textbook_suite(path, np.random.default_rng(seed), signs)
+    return task, suite, 50.0
+
+
+@pytest.mark.parametrize("signs", ["same", "model", "step"])
+def test_a_long_landing_is_proved_without_a_matrix_and_costs_what_a_matrix_says(signs):
+    task, suite, price = a_long_landing(1200, signs)
+    given = (suite.mean, suite.variance, price * suite.cost, 0.8, 0.2)
+    problem = SelectionProblem(sensitivity(task, "preview"), *given)
+    assert isinstance(problem.psi, Sensitivity)
+    found = ms.solve(problem)
+    assert found.is_optimal
+    ms.check_certificate(problem, found)
+    dense = SelectionProblem(psi(task, "preview"), *given)
+    assert dense.total_cost(found.choices) == pytest.approx(found.cost, rel=1e-11)
+    assert ms.reference_bound(dense, found.reference)[0] == pytest.approx(
+        found.root_bound, rel=1e-9
+    )
+
+
+def test_a_long_problem_in_three_lines():
+    task = ControlTask([[1, 0.1], [0, 1]], [[0], [0.1]], [[0], [0.1]], np.eye(2), [[0.1]], 2000)
+    mean = np.tile([[[1.0], [-0.2]], [[-1.0], [0.2]]], (1000, 1, 1))
+    problem = SelectionProblem(sensitivity(task, "preview"), mean, 0 * mean, [0, 0.001])
+    assert ms.solve(problem).is_optimal
+
+
+def test_a_system_stays_one_only_where_it_is_long_and_steps_are_free(monkeypatch):
+    problem, _ = a_problem(0, "preview", 6)
+    assert isinstance(problem.psi, np.ndarray)
+    monkeypatch.setattr(problem_part, "LONG", 5)
+    problem, dense = a_problem(0, "preview", 6)
+    assert isinstance(problem.psi, Sensitivity)
+    W = problem.mean.shape[1]
+    assert isinstance(replace(problem, budget=100.0).psi, np.ndarray)
+    assert isinstance(replace(problem, switch_cost=1 - np.eye(W)).psi, np.ndarray)
+    np.testing.assert_allclose(problem.linear, dense.linear)
+    c = np.zeros(6, dtype=int)
+    assert problem.control_term(c) == pytest.approx(dense.control_term(c), rel=1e-12)
+    assert ms.branch_and_bound(problem).cost == pytest.approx(ms.solve(dense).cost)
+    np.testing.assert_allclose(problem.quadratic, dense.quadratic, atol=1e-12)
+
+
+@pytest.mark.parametrize("information", ["causal", "measurement"])
+def test_a_system_without_states_is_solved_step_by_step(information):
+    with short_parts():
+        problem, dense = a_problem(1, information)
+        assert isinstance(problem.psi, Sensitivity)
+        found = ms.solve(problem)
+        assert found.solver == "solve_separable" and found.is_optimal
+        assert found.cost == pytest.approx(ms.solve(dense).cost)
