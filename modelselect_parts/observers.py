@@ -23,11 +23,12 @@ from modelselect_parts.checks import Array, as_numbers, check_array, check_semid
 from modelselect_parts.task import ControlTask
 
 
-def _covariance(task: ControlTask, name: str, value: npt.ArrayLike, k: int) -> Array:
-    H = task.horizon
-    axes, sizes = ("H k k", (H, k, k)) if as_numbers(name, value).ndim == 3 else ("k k", (k, k))
+def _covariance(task: ControlTask, name: str, value: npt.ArrayLike, axis: str) -> Array:
+    """Check a covariance, constant or varying, of what has the `axis` n or p."""
+    k, varies = getattr(task, axis), as_numbers(name, value).ndim == 3
+    axes, sizes = ("H " * varies + f"{axis} {axis}"), ((task.horizon,) * varies + (k, k))
     found = check_array(name, value, axes, sizes)
-    return check_semidefinite(name, found, definite=name == "measurement_noise")
+    return check_semidefinite(name, found, definite=axis == "p")
 
 
 def kalman_gains(
@@ -41,19 +42,27 @@ def kalman_gains(
     `solve_discrete_are`, at every step, the first included; refused if there is none.  Where one of
     them varies they are the recursion's, from a known initial state: P_0^- = 0, so Gamma_0 = 0.
     """
-    W = _covariance(task, "process_noise", process_noise, task.n)
-    V = _covariance(task, "measurement_noise", measurement_noise, task.p)
+    W = _covariance(task, "process_noise", process_noise, "n")
+    V = _covariance(task, "measurement_noise", measurement_noise, "p")
     sees = np.asarray(np.linalg.pinv(task.C), dtype=float)
     if max(M.ndim for M in (task.A, sees, W, V)) == 2:
-        try:
-            P = la.solve_discrete_are(task.A.T, sees.T, W, V)
-        except np.linalg.LinAlgError:
-            raise ValueError(
-                "process_noise: expected noise under which an observer of C^+ x settles, found "
-                "that it has no steady state; a varying task has gains from step to step"
-            ) from None
-        return np.repeat(_gain(P, sees, V)[None], task.horizon, axis=0)
+        return np.repeat(_gain(_steady(task.A, sees, W, V), sees, V)[None], task.horizon, axis=0)
     return _from_step_to_step(task, sees, W, V)
+
+
+def _steady(A: Array, sees: Array, W: Array, V: Array) -> Array:
+    """P^- that the recursion comes to: the controller's Riccati equation, all transposed."""
+    try:
+        with np.errstate(over="ignore", invalid="ignore"):
+            P = np.asarray(la.solve_discrete_are(A.T, sees.T, W, V))
+    except np.linalg.LinAlgError:
+        P = np.array(np.nan)
+    if not np.isfinite(P).all():
+        raise ValueError(
+            "process_noise: expected noise under which an observer of C^+ x settles, found none of "
+            "a steady state; give it as (H, n, n) for gains from step to step"
+        )
+    return P
 
 
 def _gain(P: Array, sees: Array, V: Array) -> Array:

@@ -272,7 +272,7 @@ def _in_other_units(
     D = 1 + np.arange(task.n) / 7
     A, B, C, Q, R = task.over_time()
     last, Q = Q[-1] / np.outer(D, D), Q[:-1] / np.outer(D, D)
-    N = None if task.N is None else task.cross / D[:, None]
+    N = None if task.N is None else task._cross / D[:, None]
     A, B, C = A * D[:, None] / D, B * D[:, None], C * D[:, None]
     other = ControlTask(A, B, C, Q, R, task.horizon, Q_final=last, N=N)
     seen = observer and _Observer(observer.gain * D[:, None], observer.sees / D)
@@ -310,7 +310,11 @@ def prior_pull(
     each = np.eye(H * p).reshape(H, p, H * p)
     Y = _regret_rows(task, information, each, observer)
     y = _regret_rows(task, information, np.zeros((H, p, 1)), observer, m)
-    return np.asarray(2 * np.einsum("tik,ti->k", Y, y[..., 0]).reshape(H, p))
+    with np.errstate(over="ignore", invalid="ignore"):
+        pull = np.asarray(2 * np.einsum("tik,ti->k", Y, y[..., 0]).reshape(H, p))
+    if not np.isfinite(pull).all():
+        raise ValueError("prior_error: the pull overflows; rescale it, the gains or the costs")
+    return pull
 
 
 # ------------------------------------------------------------------------- the robot in motion

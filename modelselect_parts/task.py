@@ -133,7 +133,7 @@ class ControlTask(Frozen):
         return A, B, C, np.concatenate([Q, np.asarray(self.Q_final)[None]]), R
 
     @property
-    def cross(self) -> Array:
+    def _cross(self) -> Array:
         """N with a time axis, (H, n, m); zero where there is none."""
         N = np.zeros((self.n, self.m)) if self.N is None else self.N
         return np.broadcast_to(N, (self.horizon, self.n, self.m))
@@ -172,7 +172,7 @@ def control_cost(task: ControlTask, states: npt.ArrayLike, controls: npt.ArrayLi
         over_states = np.einsum("...ti,tij,...tj->...", x[..., 1:, :], Q[1:], x[..., 1:, :])
         cost = over_states + np.einsum("...ti,tij,...tj->...", u, R, u)
         if task.N is not None:
-            cost = cost + 2 * np.einsum("...ti,tij,...tj->...", x[..., :-1, :], task.cross, u)
+            cost = cost + 2 * np.einsum("...ti,tij,...tj->...", x[..., :-1, :], task._cross, u)
     if not np.isfinite(cost).all():
         raise ValueError("states: the cost overflows, or that of controls does; rescale")
     return cost
@@ -232,7 +232,7 @@ def _square_root_recursion(task: ControlTask) -> list[_Roots]:
     """
     A, B, _, Q, R = task.over_time()
     H, m = task.horizon, task.m
-    R_root, lean, Q_rest = _part(Q[:-1], R, task.cross)
+    R_root, lean, Q_rest = _part(Q[:-1], R, task._cross)
     Q_root, F = semidefinite_root(Q_rest), semidefinite_root(Q[H])
     steps: list[_Roots] = [None] * H  # type: ignore[list-item]
     with np.errstate(over="ignore", invalid="ignore"):
@@ -281,7 +281,7 @@ def riccati(task: ControlTask) -> Riccati:
     transposed = np.swapaxes(F, -1, -2)
     with np.errstate(over="ignore", invalid="ignore"):
         b = rest[0] @ transposed[0] @ A[0] + left[0]
-        first = _part(Q[:1], R[:1], task.cross[:1])[2] + b.T @ b
+        first = _part(Q[:1], R[:1], task._cross[:1])[2] + b.T @ b
         P = np.concatenate([first, (F @ transposed)[:-1], Q[-1:]])
         S = G @ np.swapaxes(G, -1, -2)
         K = np.linalg.solve(np.swapaxes(G, -1, -2), push @ transposed @ A + cross)
