@@ -37,7 +37,7 @@ from modelselect_parts.checks import Array, as_numbers, check_array, check_name
 from modelselect_parts.task import ControlTask, Riccati, control_cost, riccati  # noqa: F401
 
 PSI_TOLERANCE = 3e-10  # of sqrt(Psi_ii Psi_jj), between two ways of rounding; 1e-9 is promised
-FEWEST = 6  # numbers s that may be told from what the models measure
+FEWEST = 5  # numbers s that may be told from what the models measure
 
 # ---------------------------------------------------------------------- what a controller knows
 
@@ -252,7 +252,8 @@ def psi(
     if (lost > PSI_TOLERANCE * size[:, None] * size + np.finfo(float).tiny).any():
         raise ValueError(
             "task: Psi loses its digits: it changes with the units of the states, as a growing "
-            "mode is beyond the control's or the cost's reach; remove it, or shorten the horizon"
+            "mode is beyond the control's or the cost's reach, or N leaves nothing of Q; remove "
+            "it, or shorten the horizon"
         )
     return Psi
 
@@ -268,12 +269,16 @@ def _squared_regret(task: ControlTask, information: str, observer: _Observer | N
 def _in_other_units(
     task: ControlTask, information: str, observer: _Observer | None
 ) -> tuple[ControlTask, str, _Observer | None]:
-    """Return the same with states x' = D x, D diagonal: the same Psi, but for rounding."""
-    D = 1 + np.arange(task.n) / 7
+    """Return the same with states x' = D x, D diagonal: the same Psi, but for rounding.
+
+    With cross costs also controls u' = E u: where they leave next to nothing of Q, Psi rests on
+    the last digits of all three.
+    """
+    D, E = 1 + np.arange(task.n) / 7, 1 + np.arange(1, task.m + 1) / 7 * (task.N is not None)
     A, B, C, Q, R = task.over_time()
     last, Q = Q[-1] / np.outer(D, D), Q[:-1] / np.outer(D, D)
-    N = None if task.N is None else task._cross / D[:, None]
-    A, B, C = A * D[:, None] / D, B * D[:, None], C * D[:, None]
+    N = None if task.N is None else task._cross / np.outer(D, E)
+    A, B, C, R = A * D[:, None] / D, B * D[:, None] / E, C * D[:, None], R / np.outer(E, E)
     other = ControlTask(A, B, C, Q, R, task.horizon, Q_final=last, N=N)
     seen = observer and _Observer(observer.gain * D[:, None], observer.sees / D)
     return other, information, seen
@@ -445,9 +450,11 @@ def _warn_of_states(task: ControlTask, s: Array, states: Array) -> None:
     are, is what these odds are up to a factor.
     """
     y = np.einsum("...ij,...j->...i", np.linalg.pinv(task.C), states[:-1])
-    slope = (s * y).sum() / max(len(s) * (y**2).sum(), np.finfo(float).tiny)
-    sine = np.sqrt(max(1 - slope**2 * len(s) * (y**2).sum() / (s**2).sum(), 0.0))
-    if 0.5 < slope < 2 and sine ** (s.size - 1) < np.exp(-20):
+    with np.errstate(all="ignore"):  # what is too large or too small to square is no match
+        slope = (s * y).sum() / (len(s) * (y**2).sum())
+        sine = np.sqrt(np.maximum(1 - slope * (s * y).sum() / (s**2).sum(), 0))
+        repeats = 0.5 < slope < 2 and sine ** (s.size - 1) < np.exp(-20)
+    if repeats:
         warnings.warn(
             "s: expected an unknown push C s of mean zero, found what the models measure of the "
             "state, which then pushes it; for perfect perception give s = 0 and s_hat = 0",
