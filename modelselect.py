@@ -10,8 +10,8 @@ controller e' Psi e more than true ones, so the best schedule in expectation min
 
 quadratic in the mean errors, linear in the variances: an integer quadratic programme.  Beyond the
 paper, switching models may cost something, and what is spent may be limited.  Section II, the task
-and Psi, is modelselect_parts/regulator.py; section III, the problem, is problem.py beside it; here
-are the certificate and the solvers, the plain form of each first.  A solver is a function from a
+and Psi, is task.py and regulator.py in modelselect_parts; section III, the problem, problem.py;
+here are the certificate and the solvers, plain forms first.  A solver is a function from a
 problem to a `Schedule`.
 
 Symbol table (paper: "Dynamic Selection of Perception Models for Robotic Control";

@@ -132,7 +132,10 @@ def check_information(information: str) -> None:
 
 
 class _Observer(NamedTuple):
-    """What a row that takes gains corrects its expectation with."""
+    """What a row that takes gains corrects its expectation with.
+
+    C^+ is that of the units in which the task is given: it does not turn with those of the states.
+    """
 
     gain: Array  #: (H, n, p), Gamma_t
     sees: Array  #: (H, p, n), C_t^+
@@ -252,8 +255,7 @@ def psi(
     if (lost > PSI_TOLERANCE * size[:, None] * size + np.finfo(float).tiny).any():
         raise ValueError(
             "task: Psi loses its digits: it changes with the units of the states, as a growing "
-            "mode is beyond the control's or the cost's reach, or N leaves nothing of Q; remove "
-            "it, or shorten the horizon"
+            "mode is beyond the control's or the cost's reach; remove it, or shorten the horizon"
         )
     return Psi
 
@@ -269,16 +271,12 @@ def _squared_regret(task: ControlTask, information: str, observer: _Observer | N
 def _in_other_units(
     task: ControlTask, information: str, observer: _Observer | None
 ) -> tuple[ControlTask, str, _Observer | None]:
-    """Return the same with states x' = D x, D diagonal: the same Psi, but for rounding.
-
-    With cross costs also controls u' = E u: where they leave next to nothing of Q, Psi rests on
-    the last digits of all three.
-    """
-    D, E = 1 + np.arange(task.n) / 7, 1 + np.arange(1, task.m + 1) / 7 * (task.N is not None)
+    """Return the same with states x' = D x, D diagonal: the same Psi, but for rounding."""
+    D = 1 + np.arange(task.n) / 7
     A, B, C, Q, R = task.over_time()
     last, Q = Q[-1] / np.outer(D, D), Q[:-1] / np.outer(D, D)
-    N = None if task.N is None else task._cross / np.outer(D, E)
-    A, B, C, R = A * D[:, None] / D, B * D[:, None] / E, C * D[:, None], R / np.outer(E, E)
+    N = None if task.N is None else task._cross / D[:, None]
+    A, B, C = A * D[:, None] / D, B * D[:, None], C * D[:, None]
     other = ControlTask(A, B, C, Q, R, task.horizon, Q_final=last, N=N)
     seen = observer and _Observer(observer.gain * D[:, None], observer.sees / D)
     return other, information, seen
@@ -397,7 +395,7 @@ def run_controller(
 
     Where the models measure the state (``measurement``, ``filter``), C s is an unknown push of mean
     zero.  Who means by s what they measure of the state pushes the robot by its own state, and is
-    warned: s = 0 and s_hat = the errors is what they mean.
+    warned if that is plain from the numbers: s = 0 and s_hat = the errors is what they mean.
     """
     check_information(information)
     H, n, p, row = task.horizon, task.n, task.p, PATTERNS[information]
@@ -445,9 +443,8 @@ def _deviations(
 def _warn_of_states(task: ControlTask, s: Array, states: Array) -> None:
     """Warn if s (N, H, p) repeats what the models measure of undisturbed `states` (H+1, n).
 
-    It does if it has about their size, and their direction up to an angle a that independent
-    normal numbers of mean zero keep to with odds of e^-20: sin(a)^(k - 1), k being how many they
-    are, is what these odds are up to a factor.
+    It does if it has about their size, and their direction up to an angle a that k = s.size
+    independent normal numbers of mean zero keep to with odds below e^-20, or about sin(a)^(k-1).
     """
     y = np.einsum("...ij,...j->...i", np.linalg.pinv(task.C), states[:-1])
     with np.errstate(all="ignore"):  # what is too large or too small to square is no match
