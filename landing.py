@@ -180,15 +180,14 @@ DEFAULTS: dict[str, dict[str, Any]] = {
     "trained": {"preset": "textbook", "information": "measurement", "cost": "counted"}
     | {"alpha": 0.6, "beta": 0.4}
 }
-#: What those settings may be that are names.
-NAMES: Any = {
-    "experiment": EXPERIMENTS,
-    "preset": PRESETS,
-    "information": ms.PATTERNS,
-    "cost": COSTS,
-}
 #: Settings beyond the paper.
 LIMITS = ("switch_cost", "budget")
+
+
+def _names() -> dict[str, Any]:
+    """Return what those settings may be that are names: of patterns, those that need no gains."""
+    known = EXPERIMENTS, PRESETS, ms.INFORMATION, COSTS
+    return dict(zip(("experiment", "preset", "information", "cost"), known, strict=True))
 
 
 @dataclass(frozen=True)
@@ -197,7 +196,7 @@ class Settings:
 
     experiment: str = "simulated"  #: one of `EXPERIMENTS`
     preset: str = "published"  #: one of `PRESETS`
-    information: str = "open_loop"  #: one of `modelselect.PATTERNS`
+    information: str = "open_loop"  #: one of `modelselect.INFORMATION`
     horizon: int = 150  #: steps of a landing
     trials: int = 100  #: landings
     alpha: float = 0.8  #: weight of control cost (``eq:jtot``)
@@ -209,7 +208,7 @@ class Settings:
     budget: float | None = None  #: the most that perception may cost on a landing, with switches
 
     def __post_init__(self) -> None:
-        for name, known in NAMES.items():
+        for name, known in _names().items():
             check_name(name, getattr(self, name), known)
         for name, minimum in {"horizon": 1, "trials": 1, "seed": 0}.items():
             count = check_count(name, getattr(self, name), minimum=minimum)
@@ -582,7 +581,7 @@ def plot_efficientnet() -> Figure:
 
 def plot_psi(task: ControlTask) -> Figure:
     """Draw |Psi| of a task under all information patterns, on one logarithmic scale of colours."""
-    return figures.draw_sensitivities(list(ms.PATTERNS), flights.sensitivities(task))
+    return figures.draw_sensitivities(ms.INFORMATION, flights.sensitivities(task))
 
 
 def plot_gallery(seed: int = 0) -> Figure:
@@ -688,7 +687,7 @@ def _parser() -> argparse.ArgumentParser:
     about = "Land an aircraft, choosing perception models."
     parser = argparse.ArgumentParser("landing.py", usage=argparse.SUPPRESS, description=about)
     for name, value in asdict(Settings()).items():
-        kind, known = float if value is None else type(value), NAMES.get(name)
+        kind, known = float if value is None else type(value), _names().get(name)
         default = {"upsilon": "as the preset", "budget": "none"}.get(name, value)
         flag = f"--{name.replace('_', '-')}"
         about = f"default: {default}"

@@ -10,8 +10,8 @@ controller e' Psi e more than true ones, so the best schedule in expectation min
 
 quadratic in the mean errors, linear in the variances: an integer quadratic programme.  Beyond the
 paper, switching models may cost something, and what is spent may be limited.  Section II, the task
-and Psi, is modelselect_parts/regulator.py; section III, the problem, is problem.py beside it; here
-are the certificate and the solvers, the plain form of each first.  A solver is a function from a
+and Psi, is task.py and regulator.py in modelselect_parts; section III, the problem, problem.py;
+here are the certificate and the solvers, plain forms first.  A solver is a function from a
 problem to a `Schedule`.
 
 Symbol table (paper: "Dynamic Selection of Perception Models for Robotic Control";
@@ -82,7 +82,14 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from modelselect_parts import column_generation, label_search, local_search, segments, trellis
+from modelselect_parts import (
+    column_generation,
+    label_search,
+    local_search,
+    regulator,
+    segments,
+    trellis,
+)
 from modelselect_parts import triangle as triangles
 from modelselect_parts.blends import Blend, BlendProblem, sdp_blocks, solve_blend
 from modelselect_parts.checks import (
@@ -112,6 +119,7 @@ from modelselect_parts.descent import (
 from modelselect_parts.error_costs import ErrorCost, correlated_cost, error_cost
 from modelselect_parts.hardness import maximum_cut_problem, partition_problem
 from modelselect_parts.interior_point import congruence, interior_point
+from modelselect_parts.observers import kalman_gains
 from modelselect_parts.problem import (
     EXACT_BELOW,
     EXACT_SIZE,
@@ -130,6 +138,7 @@ from modelselect_parts.regulator import (
     control_cost,
     plan,
     preview_regret,
+    prior_pull,
     psi,
     riccati,
     run_controller,
@@ -147,8 +156,8 @@ WIDTHS = [64 * 8**k for k in range(8)]  #: labels that the passes of `dynamic_pr
 
 
 def __getattr__(name: str) -> tuple[str, ...]:
-    if name == "INFORMATION":  # the rows of the table, read when asked
-        return tuple(PATTERNS)
+    if name == "INFORMATION":  # the patterns that a task alone defines, read when asked
+        return regulator.INFORMATION
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 

@@ -3,7 +3,9 @@
 ================= ==============================================================================
 semidefinite      semidefinite matrices up to rounding: judged, mended, factored
 checks            the one checker of arguments, the types of array
-regulator         paper II: the task, its controllers, what each knows, and Psi
+task              paper II: the task, what a flight costs, its Riccati recursion
+regulator         paper II: the controllers, what each of them knows, and Psi
+observers         gains of a Kalman filter
 trellis           the certificate, on bare arrays
 problem           paper III: which model to run at each step
 error_costs       what single models cost, and what errors that correlate over time cost

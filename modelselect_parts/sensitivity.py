@@ -16,7 +16,6 @@ States can be chosen freely.  We choose those in which |eta|^2 is what eta adds 
 to come if no more errors do: then [read; carry] has orthonormal columns, and neither states nor
 rounding can grow on the way.
 
->>> from modelselect_parts.regulator import ControlTask
 >>> task = ControlTask(A=[[1]], B=[[1]], C=[[1]], Q=[[1]], R=[[1]], horizon=2)
 >>> system = sensitivity(task, "preview")
 >>> np.asarray(system)
@@ -40,12 +39,14 @@ from modelselect_parts.checks import Array, Frozen, check_array, frozen
 from modelselect_parts.regulator import (
     PATTERNS,
     PSI_TOLERANCE,
-    ControlTask,
     Look,
-    _in_other_units,
-    check_information,
+    Observer,
+    at_step,
     felt_size,
+    in_other_units,
+    observer_of,
 )
+from modelselect_parts.task import ControlTask
 
 Wide = np.longdouble  # sums over ten thousand steps keep 16 digits, where machines have it
 EPS, WIDE_EPS = float(np.finfo(float).eps), float(np.finfo(Wide).eps)
@@ -176,16 +177,19 @@ class Sensitivity(Frozen):
         return self._unit * float(np.linalg.norm(states.astype(float), axis=1).sum() + felt.sum())
 
 
-def sensitivity(task: ControlTask, information: str) -> Sensitivity:
+def sensitivity(
+    task: ControlTask, information: str, *, gains: npt.ArrayLike | None = None
+) -> Sensitivity:
     """Psi of a pattern of `PATTERNS` (see `psi`) as a linear system.
 
-    ValueError for patterns that believe what comes from the past and what they foresee at once,
-    such as ``open_loop``, for which there is `psi`; or where Psi is out of reach of double
-    precision: a product with it changes with the units of the states.
+    `gains` (n, p) or (H, n, p) are those of an observer, where the pattern takes them.  ValueError
+    for patterns that believe what comes from the past and what they foresee at once, such as
+    ``open_loop``, for which there is `psi`; or where Psi is out of reach of double precision: a
+    product with it changes with the units of the states.
     """
-    check_information(information)
-    system = _in_felt_states(*_beliefs(task, information))
-    other = _in_felt_states(*_beliefs(_in_other_units(task), information))
+    observer = observer_of(task, information, gains)
+    system = _in_felt_states(*_beliefs(task, information, observer))
+    other = _in_felt_states(*_beliefs(*in_other_units(task, information, observer)))
     size = felt_size(task, system.diagonal())
     probe = np.cos(np.arange(len(size))) / size
     found, length = system @ probe, math.sqrt(len(size))
@@ -196,34 +200,38 @@ def sensitivity(task: ControlTask, information: str) -> Sensitivity:
     return system
 
 
-def _beliefs(task: ControlTask, information: str) -> tuple[Array, Array, Array, Array, bool]:
+def _beliefs(
+    task: ControlTask, information: str, observer: Observer | None
+) -> tuple[Array, Array, Array, Array, bool]:
     """Write the rows of `regulator.psi` as a system: own, read, carry, push, forward.
 
-    What a controller believes wrongly of its state is m = a D + g e, D what it expected.
+    Looking back, its states are what the controller expected wrongly, and what a late picture
+    shows wrongly; looking ahead, the r of `regulator._foreseen`.
     """
     row, (A, _, C, _, _) = PATTERNS[information], task.over_time()
-    n, p = task.n, task.p
-    own, read = np.empty((task.horizon, task.m, p)), np.empty((task.horizon, task.m, n))
-    carry, push = np.empty((task.horizon, n, n)), np.empty((task.horizon, n, p))
-    remembers = False
+    n, m, p, H = task.n, task.m, task.p, task.horizon
+    expected, late, error = np.split(np.eye(2 * n + p), [n, 2 * n])
+    nothing = np.zeros((n, 2 * n + p))
+    own, read, push = np.empty((H, m, p)), np.empty((H, m, 2 * n)), np.empty((H, 2 * n, p))
+    carry = np.empty((H, 2 * n, 2 * n))
     for t, step in enumerate(task._roots):
-        nothing = np.zeros((n, n + p))  # of D = I and e = I, side by side
-        expected, error = np.eye(n, n + p), np.eye(p, n + p, n)
-        believed = A[t] @ row.memory(Look(nothing, expected, C[t], error)) + C[t] @ error * row.now
-        remembers |= bool(believed[:, :n].any())
-        felt = step.push @ step.F.T @ believed
-        own[t], read[t], carry[t], push[t] = (
-            felt[:, n:],
-            felt[:, :n],
-            believed[:, :n],
-            believed[:, n:],
-        )
-        if row.foresight:
-            fold = step.fold @ step.rest
-            read[t], carry[t], push[t] = step.push, fold, fold @ step.F.T @ C[t]
-    if row.foresight and remembers:
+        told = C[t] @ error
+        look = Look(nothing, expected, C[t], error, late, *at_step(observer, t))
+        believed = row.memory(look)
+        coming, shown = (A[t] @ z + told * row.now for z in (believed, told))
+        felt = step.push @ step.F.T @ coming + step.cross @ believed
+        read[t], own[t] = np.split(felt, [2 * n], axis=1)
+        carry[t], push[t] = np.split(np.vstack([coming, shown]), [2 * n], axis=1)
+    if not carry[:, :n, n:].any() and not read[..., n:].any():  # late pictures are not used
+        read, carry, push = read[..., :n], carry[:, :n, :n], push[:, :n]
+    if not row.foresight:
+        return own, read, carry, push, True
+    if read.any():
         raise ValueError(f"information: {information!r} believes what it foresaw earlier; use psi")
-    return own, read, carry, push, not row.foresight
+    roots = task._roots
+    fold = np.array([step.fold @ step.rest for step in roots])
+    push = fold @ np.array([step.F.T for step in roots]) @ C
+    return own, np.array([step.push for step in roots]), fold, push, False
 
 
 def _in_felt_states(

@@ -445,6 +445,7 @@ ROWS: dict[str, tuple[Callable[..., Any], dict[str, Arg]]] = {
             "R": weight(R),
             "horizon": count(H),
             "Q_final": weight(np.diag([3.0, 0, 1]), "none"),
+            "N": real(np.array([[0, 1], [1, 0], [0, 0]]) / 4, "none"),
         },
     ),
     "ControlTask.over_time": (lambda: task().over_time(), {}),
@@ -459,13 +460,52 @@ ROWS: dict[str, tuple[Callable[..., Any], dict[str, Arg]]] = {
             "s_hat": real(numbered(H, 1) + 1),
             "information": word("causal"),
             "prior_mean": real(numbered(H, 1) - 1, "none"),
+            "gains": FLAG,
+            "reference": real(numbered(H + 1, 3), "none rank-less"),
+            "disturbance": real(numbered(H, 3), "none"),
+        },
+    ),
+    "run_controller/filter": (
+        ms.run_controller,
+        {
+            "task": TASK,
+            "x0": real(numbered(3)),
+            "s": real(0 * numbered(H, 1)),
+            "s_hat": real(numbered(H, 1) + 1),
+            "information": word("filter"),
+            "gains": real(numbered(3, 1) / 8),
         },
     ),
     "control_cost": (
         ms.control_cost,
         {"task": TASK, "states": real(numbered(H + 1, 3)), "controls": real(numbered(H, 2))},
     ),
-    "psi": (ms.psi, {"task": TASK, "information": PATTERN}),
+    "psi": (ms.psi, {"task": TASK, "information": PATTERN, "gains": FLAG}),
+    "psi/filter": (
+        ms.psi,
+        {
+            "task": TASK,
+            "information": word("filter"),
+            "gains": real(numbered(H, 3, 1) / 8, "rank-less"),
+        },
+    ),
+    "prior_pull": (
+        ms.prior_pull,
+        {
+            "task": TASK,
+            "prior_error": real(numbered(3)),
+            "information": word("filter"),
+            "gains": real(numbered(3, 1) / 8),
+        },
+    ),
+    "kalman_gains": (
+        ms.kalman_gains,
+        {
+            "task": TASK,
+            "process_noise": weight(np.diag([1.0, 2, 3])),
+            "measurement_noise": weight([[2.0]]),
+        },
+    ),
     "preview_regret": (ms.preview_regret, {"task": TASK, "errors": real(numbered(H, 1))}),
     # ---- modelselect: the problem
     "one_hot": (

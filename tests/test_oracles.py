@@ -28,6 +28,9 @@ run_controller | test_causal_plans_anew_with_this_estimate_and_the_prior_mean_af
 control_cost | test_the_control_cost_is_the_sum_over_x1_to_xh_and_u0_to_uh_minus_1 | the definition, index by index
 tests/test_psi.py
 psi preview_regret | test_psi_is_the_regret_of_a_robot_that_plans_anew_by_dense_algebra | dense planning, a plain roll-out and cost
+tests/test_filter.py
+kalman_gains | test_gains_that_vary_give_the_conditional_mean_of_a_gaussian | dense conditioning of a joint Gaussian
+prior_pull | test_the_pull_of_a_misjudged_start_is_what_the_observer_pays_with_it | an observer in plain loops, planning densely
 tests/test_problem.py
 as_numbers check_array check_number check_count check_information check_choices shown | test_the_checkers_by_hand | values and messages by hand
 check_semidefinite | test_semidefinite_is_what_sylvesters_minors_say_in_whole_numbers | principal minors in whole numbers

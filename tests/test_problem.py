@@ -882,7 +882,7 @@ def test_choices_are_whole_numbers_from_0_to_w_minus_1(function, bad):
     "information", ["", "Preview", "open loop", None, 0, ["preview"], np.ones(2)]
 )
 def test_an_unknown_information_pattern_is_refused_with_the_known_ones(information):
-    message = "information: expected one of open_loop, preview, causal, measurement, found "
+    message = "information: expected one of open_loop, preview, causal, measurement, filter, found "
     refused(lambda: psi(TASK, information), message)
     refused(lambda: run_controller(TASK, X0, S, S, information), message)
 
