@@ -2,7 +2,8 @@
 
 `published` is the paper's first experiment.  The others land the textbook aircraft, named by what
 the controller knows and by the signs of the biases: all the `same`, one for each `model`, or one
-for each `step` and model.
+for each `step` and model.  `long` ones fly on at 150 steps in 20 s, rising and sinking between 0
+and 100 ft every 700 steps, with preview; their Psi is a linear system.
 
 `constrained` adds what a kind says to a textbook family: switching costs, a budget, or both.  There
 prices are EfficientNet's measured latencies on an i7-12700H (pytorch-image-models), weighed so that
@@ -18,7 +19,8 @@ from typing import Any
 import numpy as np
 
 from landing import cost_scale, preset
-from modelselect import ControlTask, SelectionProblem, psi, solve
+import perception
+from modelselect import ControlTask, SelectionProblem, Sensitivity, psi, sensitivity, solve
 from perception import PerceptionSuite, gaussian_suite
 
 ALPHA, BETA = 0.8, 0.2
@@ -27,6 +29,7 @@ TEXTBOOK = tuple(f"{known}/{signs}" for known in ("open_loop", "preview") for si
 FAMILIES = ("published", *TEXTBOOK)
 ONE_SIGN = ("published", "open_loop/same", "preview/same")
 MIXED_SIGNS = tuple(family for family in FAMILIES if family not in ONE_SIGN)
+LONG = tuple(f"long/{signs}" for signs in SIGNS)
 
 KINDS = ("switching", "budget", "both")
 LATENCY = np.array([12.9, 18.4, 24.0, 34.0, 68.3, 143.8, 256.0, 465.8])
@@ -40,18 +43,34 @@ def task(family: str, H: int = 150, p: int = 1) -> tuple[ControlTask, str]:
     """The task of a family, and what its controller knows."""
     if family == "published":
         return preset("published", H).task, "open_loop"
+    if family in LONG:
+        return replace(preset("textbook", 150).task, horizon=H), "preview"
     return replace(preset("textbook", H).task, C=np.eye(4)[:, :p]), family.split("/")[0]
 
 
+def built(family: str, H: int, p: int = 1) -> np.ndarray | Sensitivity:
+    """Psi of a family, as a matrix or as a linear system."""
+    return (sensitivity if family in LONG else psi)(*task(family, H, p))
+
+
 def instance(
-    family: str, seed: int, H: int = 150, W: int = 8, p: int = 1, Psi: np.ndarray | None = None
+    family: str,
+    seed: int,
+    H: int = 150,
+    W: int = 8,
+    p: int = 1,
+    Psi: np.ndarray | Sensitivity | None = None,
 ) -> SelectionProblem:
-    """The problem that a family draws from a seed (`published`: W = 8 and p = 1 only)."""
-    Psi = psi(*task(family, H, p)) if Psi is None else Psi
+    """The problem that a family draws from a seed (`published`, `long`: W = 8 and p = 1 only)."""
+    Psi = built(family, H, p) if Psi is None else Psi
     rng = np.random.default_rng(seed)
     if family == "published":
         landing = preset("published", H)
         suite, price = landing.draw_suite(rng), landing.upsilon
+    elif family in LONG:
+        path = 50 + 50 * np.sin(2 * np.pi * np.arange(H) / 700)
+        suite = perception.textbook_suite(path, rng, family.split("/")[1])
+        price = cost_scale(Psi, suite)
     else:
         suite = textbook_suite(family.split("/")[1], rng, H, W, p)
         price = cost_scale(Psi, suite)

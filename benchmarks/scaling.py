@@ -18,7 +18,7 @@ from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
-from families import FAMILIES, MIXED_SIGNS
+from families import FAMILIES, LONG, MIXED_SIGNS
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from measure import (
@@ -37,6 +37,7 @@ from tqdm import tqdm
 Row = dict[str, Any]
 STAGES = {"psi": "Ψ", "relax": "relaxation", "solve": "solve"}
 HORIZONS = (25, 50, 100, 150, 300, 600, 1000, 2000)
+LONG_HORIZONS = (1200, 2500, 5000, 10_000)  # without a matrix
 MODELS = (2, 4, 8, 16, 32)
 COMPONENTS = (1, 2, 3)
 HARDEST = "preview/model"  # of the families at H = 150: its root gap is the largest
@@ -60,10 +61,17 @@ def plan(options: argparse.Namespace) -> list[Row]:
         for W in options.models
     ]
     unique = {tuple(point.values()): point for point in points}
-    return [
-        point | {"seed": seed, "limit": options.limit, "repeat": options.repeat}
+    limits = {"limit": options.limit, "repeat": options.repeat}
+    points = [
+        point | {"seed": seed} | limits
         for point in unique.values()
         for seed in range(options.seeds)
+    ]
+    return points + [
+        {"family": family, "H": H, "W": 8, "p": 1, "seed": seed} | limits | {"repeat": 1}
+        for family in LONG
+        for H in options.long_horizons
+        for seed in range(options.long_seeds)
     ]
 
 
@@ -92,6 +100,7 @@ def lines(rows: list[Row]) -> list[dict[str, str]]:
             line |= {f"{name}, s": seconds(middle(measured, s)) for s, name in STAGES.items()}
             line["longest solve, s"] = seconds(max(row["longest"] for row in measured))
             line["labels"] = str(max(row["labels"] for row in measured))
+            line["labels a step"] = f"{middle(measured, 'labels a step'):.0f}"
             line["memory, MB"] = f"{max(row['memory'] for row in measured):.0f}"
             line["proved"] = f"{sum(row['proved'] for row in points)} of {len(points)}"
         else:
@@ -112,12 +121,15 @@ def claims(rows: list[Row]) -> list[dict[str, str]]:
         return claim(text, "-", None) if np.isnan(value) else claim(text, shown, value <= limit)
 
     slow, slower = worst(600, MIXED_SIGNS, "longest"), worst(2000, FAMILIES, "longest")
-    memory = worst(2000, FAMILIES, "memory")
+    memory, most = worst(2000, FAMILIES, "memory"), LONG_HORIZONS[-1]
+    slowest, larger = worst(most, LONG, "longest"), worst(most, LONG, "memory")
     proved = [row["proved"] for row in rows]
     return [
         line("H = 600, mixed signs: under 2 s", slow, f"{seconds(slow)} s", 2),
         line("H = 2000: under 20 s", slower, f"{seconds(slower)} s", 20),
         line("H = 2000: under 2 GB", memory, f"{memory / 1024:.2f} GB", 2048),
+        line(f"long, H = {most}: under 60 s", slowest, f"{seconds(slowest)} s", 60),
+        line(f"long, H = {most}: under 0.5 GB", larger, f"{larger / 1024:.2f} GB", 512),
         claim("every point proved", f"{sum(proved)} of {len(proved)}", all(proved)),
     ]
 
@@ -130,6 +142,9 @@ the eight, and p of altitude, its rate and pitch are perceived.  Seeds: {seeds};
 in the last pass (1: none were needed).  *memory*: peak of the process, of which {before:.0f} MB
 are Python and its libraries.  Time limit of `solve`: {limit:g} s.  The published aircraft is
 unstable: beyond about 1000 steps its open-loop Ψ is out of reach of double precision.
+
+long: steps of 2/15 s, up and down between 0 and 100 ft every 700 of them, with preview; Ψ is a
+linear system, {long_seeds} seeds, one run each.
 """
 
 
@@ -138,7 +153,8 @@ def report(rows: list[Row], options: argparse.Namespace, facts: Row) -> str:
     notes = NOTES.format(before=before, **vars(options))
     sections = ["# How time and memory grow\n", "Made by `benchmarks/scaling.py`.\n"]
     sections += ["## Claims\n", table(claims(rows)), "## Points\n", table(lines(rows))]
-    sections += ["![Time against H, W and p](scaling.png)\n", notes, about(facts) + "\n"]
+    sections += ["![Time against H, W and p](scaling.png)\n"]
+    sections += ["![Time and labels of a step against H](long.png)\n", notes, about(facts) + "\n"]
     return "\n".join(sections)
 
 
@@ -154,7 +170,7 @@ STYLE = {
     "legend.fontsize": 10,
 }
 # Okabe and Ito's palette, told apart by marker and line style as well.
-LOOKS = [
+LOOKS: list[dict[str, Any]] = [
     {"color": color, "marker": marker, "linestyle": line}
     for color, marker, line in zip(
         ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000"),
@@ -189,7 +205,30 @@ def figure(rows: list[Row], options: argparse.Namespace) -> Figure:
     return drawing
 
 
-def draw(axes: Axes, rows: list[Row], x: str, y: str, label: str, look: dict[str, str]) -> None:
+def long_figure(rows: list[Row]) -> Figure:
+    """Time and labels of a step, against H: of a linear system, and of the matrix (hollow)."""
+    families = [*LONG, *(family for family in FAMILIES if family.startswith("preview"))]
+    with plt.rc_context(STYLE):
+        drawing, (left, right) = plt.subplots(1, 2, figsize=(12, 5), layout="constrained")
+        for look, family in zip(LOOKS[:3] + LOOKS[:3], families, strict=True):
+            points = [
+                row | {"step": 1e3 * row["solve"] / row["H"]}
+                for row in rows
+                if "solve" in row and (row["family"], row["W"], row["p"]) == (family, 8, 1)
+            ]
+            look = look if family in LONG else look | {"markerfacecolor": "white", "alpha": 0.6}
+            if points:
+                draw(left, points, "H", "step", family, look)
+                draw(right, points, "H", "labels a step", family, look)
+        ticks = (25, 100, 600, 2000, 10_000)
+        finish(left, "solve", "horizon H, steps", ticks)
+        finish(right, "labels of the last pass", "horizon H, steps", ticks)
+        left.set_ylabel("time a step, ms")
+        right.set_ylabel("labels a step, mean")
+    return drawing
+
+
+def draw(axes: Axes, rows: list[Row], x: str, y: str, label: str, look: dict[str, Any]) -> None:
     points = sorted((key, middle(points, y)) for (key,), points in by(rows, x).items())
     axes.plot(*zip(*points, strict=True), label=label, **look)
 
@@ -218,6 +257,8 @@ def parse() -> argparse.Namespace:
     parser.add_argument("--components", type=int, nargs="+", choices=(1, 2, 3), default=COMPONENTS)
     parser.add_argument("--middle", type=int, default=150, help="H where W and p vary")
     parser.add_argument("--seeds", type=int, default=2, help="instances a point")
+    parser.add_argument("--long-horizons", type=int, nargs="*", default=LONG_HORIZONS)
+    parser.add_argument("--long-seeds", type=int, default=3, help="instances a long point")
     parser.add_argument("--repeat", type=int, default=3, help="runs of an instance, for a median")
     parser.add_argument("--limit", type=float, default=120, help="seconds a solve")
     parser.add_argument("--output", type=Path, help="folder; default: results/ beside this script")
@@ -227,6 +268,7 @@ def parse() -> argparse.Namespace:
         options.families, options.horizons = ["published", HARDEST], [25, 50, 100]
         options.models, options.components, options.middle = [2, 8], [1, 2], 50
         options.seeds, options.repeat, options.limit = 1, 1, 5
+        options.long_horizons, options.long_seeds = [1200], 1
     return options
 
 
@@ -240,6 +282,7 @@ def main() -> None:
     output = options.output or (quick if options.quick else RESULTS)
     save(output, "scaling", text, {"machine": facts, "claims": claims(rows), "rows": rows})
     figure(rows, options).savefig(output / "scaling.png", dpi=150)
+    long_figure(rows).savefig(output / "long.png", dpi=150)
 
 
 if __name__ == "__main__":

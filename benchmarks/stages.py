@@ -13,10 +13,10 @@ from statistics import median
 from time import perf_counter
 from typing import Any, NamedTuple
 
-from families import instance, task
+from families import built, instance
 from measure import peak_memory
 
-from modelselect import Schedule, psi, relax_interior_point, solve
+from modelselect import Schedule, relax_interior_point, solve
 
 LONG = 10.0  # seconds of `solve` after which a point is not repeated
 
@@ -38,7 +38,7 @@ def timed(call: Callable[[], Any]) -> tuple[Any, float]:
 def run(request: dict[str, Any]) -> tuple[Schedule, Times]:
     """Draw the problem and go through all stages; nothing is kept from one run to the next."""
     family, H, W, p = (request[key] for key in ("family", "H", "W", "p"))
-    Psi, for_psi = timed(lambda: psi(*task(family, H, p)))
+    Psi, for_psi = timed(lambda: built(family, H, p))
     problem = instance(family, request["seed"], H, W, p, Psi)
     schedule, for_solve = timed(lambda: solve(problem, time_limit=request["limit"]))
     _, for_relax = timed(lambda: relax_interior_point(problem))
@@ -53,7 +53,9 @@ def main() -> None:
         runs.append(times)
     middle = Times(*(median(column) for column in zip(*runs, strict=True)))
     answer = middle._asdict() | {"longest": max(times.solve for times in runs), "runs": len(runs)}
-    answer |= {"labels": int(max(schedule.work.get("labels", [1]))), "solver": schedule.solver}
+    labels = schedule.work.get("labels", [1])
+    answer |= {"labels": int(max(labels)), "labels a step": sum(map(int, labels)) / len(labels)}
+    answer["solver"] = schedule.solver
     answer |= {"proved": bool(schedule.is_optimal), "gap": float(schedule.gap)}
     answer |= {"cost": schedule.cost, "root_bound": schedule.root_bound}
     print(json.dumps(answer | {"memory": peak_memory(), "before": before}))

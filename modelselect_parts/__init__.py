@@ -3,9 +3,11 @@
 ================= ==============================================================================
 semidefinite      semidefinite matrices up to rounding: judged, mended, factored
 checks            the one checker of arguments, the types of array
+exact             floats in exact numbers
 task              paper II: the task, what a flight costs, its Riccati recursion
 regulator         paper II: the controllers, what each of them knows, and Psi
 observers         gains of a Kalman filter
+sensitivity       Psi as a linear system, for horizons of which no matrix is written down
 trellis           the certificate, on bare arrays
 problem           paper III: which model to run at each step
 error_costs       what single models cost, and what errors that correlate over time cost
@@ -16,6 +18,7 @@ column_generation the relaxation where switching costs or a budget tie steps tog
 local_search      better schedules by small changes
 triangle          what a schedule costs beyond its bound, as a sum over steps
 label_search      the exact search, on bare arrays
+segments          long horizons: parts of them, each a problem of its own
 blends            paper V: Problem 4
 camera            pictures of a helipad
 networks          small networks and how they learn

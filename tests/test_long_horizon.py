@@ -25,16 +25,33 @@ from perception import textbook_suite
 from strategies import tasks
 
 SEEDS = st.integers(0, 2**32 - 1)
-SYSTEMS = ("preview", "causal", "measurement", "reckoning")
+SYSTEMS = ("preview", "causal", "measurement", "filter", "reckoning", "a step late")
 
 
 @pytest.fixture(autouse=True, scope="module")
-def reckoning():
-    """A row with memory and no foresight: dead reckoning."""
-    row = ms.Pattern(lambda look: look.expected, True, False, False, "reckons")
+def rows():
+    """Two rows more, with memory and no foresight."""
+    reckons = ms.Pattern(lambda look: look.expected, True, False, False, "reckons")
+    late = ms.Pattern(lambda look: (look.late + look.expected) / 2, False, False, False, "averages")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setitem(ms.PATTERNS, "reckoning", row)
+        patch.setitem(ms.PATTERNS, "reckoning", reckons)
+        patch.setitem(ms.PATTERNS, "a step late", late)
         yield
+
+
+def of(task, information):
+    """What psi and sensitivity take: a filter has gains, any gains."""
+    wants = ms.PATTERNS[information].gains
+    shape = (task.horizon, task.n, task.p)
+    return task, information, np.random.default_rng(task.n).normal(size=shape) if wants else None
+
+
+def matrix(*given):
+    return psi(*given[:2], gains=given[2])
+
+
+def system_of(*given):
+    return sensitivity(*given[:2], gains=given[2])
 
 
 @contextlib.contextmanager
@@ -54,12 +71,13 @@ def short_parts():
 
 @given(tasks(), st.sampled_from(SYSTEMS))
 def test_a_system_is_its_matrix(task, information):
-    Psi, system = psi(task, information), sensitivity(task, information)
+    Psi, system = matrix(*of(task, information)), system_of(*of(task, information))
     size = felt_size(task, Psi.diagonal())
     assert (np.abs(np.asarray(system) - Psi) <= 1e-9 * np.outer(size, size)).all()
     np.testing.assert_allclose(
         system.diagonal(), Psi.diagonal(), rtol=1e-9, atol=1e-9 * size.max() ** 2
     )
+    np.testing.assert_allclose(np.einsum("tii->ti", system.blocks).ravel(), system.diagonal())
     H, p = task.horizon, task.p
     off = np.abs(Psi.reshape(H, p, H, p)) > 1e-9 * np.outer(size, size).reshape(H, p, H, p)
     off[np.arange(H), :, np.arange(H)] = False
@@ -86,7 +104,7 @@ def exactly(system, e):
 @given(tasks(max_horizon=5), st.sampled_from(SYSTEMS), SEEDS)
 def test_products_and_squares_are_off_by_no_more_than_they_say(task, information, seed):
     rng = np.random.default_rng(seed)
-    system = sensitivity(task, information)
+    system = system_of(*of(task, information))
     e = rng.normal(size=len(system)) * 10.0 ** rng.integers(-3, 4, len(system))
     product, square = exactly(system, e)
     found, off = system.product(e)
@@ -102,12 +120,23 @@ def test_states_are_as_long_as_what_they_add_to_later_outputs():
     np.testing.assert_allclose(gram, np.broadcast_to(np.eye(gram.shape[1]), gram.shape), atol=1e-13)
 
 
+@pytest.mark.parametrize("information", ["preview", "filter"])
+@pytest.mark.parametrize("part", [slice(0, 4), slice(3, 9), slice(7, 12)])
+def test_a_window_is_a_block_of_the_matrix(part, information):
+    given = of(replace(landing.preset("textbook", 150).task, horizon=12), information)
+    np.testing.assert_allclose(
+        system_of(*given).window(part), matrix(*given)[part, part], rtol=1e-9
+    )
+
+
 def test_what_is_no_system_is_refused(monkeypatch):
     task = ControlTask([[1]], [[1]], [[1]], [[1]], [[1]], 3)
     with pytest.raises(ValueError, match=r"^information: 'open_loop' .*use psi"):
         sensitivity(task, "open_loop")
     with pytest.raises(ValueError, match=r"^information: expected one of"):
         sensitivity(task, "oracle")
+    with pytest.raises(ValueError, match=r"^gains: required"):
+        sensitivity(task, "filter")
     system = sensitivity(task, "preview")
     with pytest.raises(ValueError, match=r"^carry: expected shape"):
         replace(system, carry=system.carry[1:])
@@ -144,8 +173,8 @@ def a_problem(seed, information=None, H=None):
     given = (rng.normal(size=(H, W, p)), rng.uniform(0, 0.1, (H, W, p)), price)
     pull = rng.normal(size=(H, p)) if rng.random() < 0.3 else None
     weights = {"alpha": float(rng.choice([0.5, 2])), "pull": pull}
-    system = SelectionProblem(sensitivity(task, information), *given, **weights)
-    return system, SelectionProblem(psi(task, information), *given, **weights)
+    system = SelectionProblem(system_of(*of(task, information)), *given, **weights)
+    return system, SelectionProblem(matrix(*of(task, information)), *given, **weights)
 
 
 @given(SEEDS)
