@@ -18,8 +18,8 @@ from typing import Any
 
 import numpy as np
 
-from landing import cost_scale, preset
 import perception
+from landing import cost_scale, preset
 from modelselect import ControlTask, SelectionProblem, Sensitivity, psi, sensitivity, solve
 from perception import PerceptionSuite, gaussian_suite
 
