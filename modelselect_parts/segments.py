@@ -43,7 +43,7 @@ WIDTHS = (64, 512, 4096)
 
 
 def is_long(mean: Array) -> bool:
-    """Whether segments side by side pay: so, too, says Form.M where it is a system."""
+    """Whether segments side by side pay: measured, from some 400 steps on."""
     return len(mean) > 2 * SEGMENTS[-1]
 
 
@@ -138,6 +138,8 @@ def bounds_ahead(
     if is_long(triangle.deviation):
         segments = [(a, min(a + k, H)) for k in SEGMENTS for a in range(0, H, k)]
     for a, b in segments:
+        if expired():
+            break
         part = segment(triangle, steps, a, b, excess)
         inside = Ahead(R[a:b] - R[a], b - a, np.zeros(b - a))
         share = slack * (b - a) / H

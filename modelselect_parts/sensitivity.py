@@ -46,6 +46,7 @@ from modelselect_parts.regulator import (
     in_other_units,
     observer_of,
 )
+from modelselect_parts.semidefinite import MATRIX_TOLERANCE
 from modelselect_parts.task import ControlTask
 
 Wide = np.longdouble  # sums over ten thousand steps keep 16 digits, where machines have it
@@ -54,7 +55,7 @@ EPS, WIDE_EPS = float(np.finfo(float).eps), float(np.finfo(Wide).eps)
 
 @dataclass(frozen=True, eq=False)
 class Sensitivity(Frozen):
-    """Psi as a linear system in the states that `sensitivity` chooses.
+    """Psi as a linear system in the states that `sensitivity` chooses; made by it.
 
     ``@`` multiplies a vector (pH,), ``np.asarray`` builds the matrix.
     """
@@ -70,6 +71,9 @@ class Sensitivity(Frozen):
         shapes = {"own": (H, q, p), "read": (H, q, n), "carry": (H, n, n), "push": (H, n, p)}
         for name, shape in shapes.items():
             self._set(**{name: check_array(name, getattr(self, name), "H i j", shape)})
+        on = np.concatenate([self.read, self.carry], axis=1)
+        if np.abs(on.swapaxes(1, 2) @ on - np.eye(n)).max(initial=0) > MATRIX_TOLERANCE:
+            raise ValueError("carry: expected [read; carry] of orthonormal columns, found others")
 
     def __len__(self) -> int:
         return int(self.own.shape[0] * self.own.shape[2])
@@ -107,16 +111,18 @@ class Sensitivity(Frozen):
         """Return the diagonal of Psi, (pH,)."""
         return np.diagonal(self.blocks, axis1=1, axis2=2).ravel()
 
+    @property
+    def _plain(self) -> tuple[Array, ...]:
+        return self.own, self.read, self.carry, self.push
+
     @cached_property
     def _wide(self) -> tuple[npt.NDArray[Wide], ...]:
-        return tuple(x.astype(Wide) for x in (self.own, self.read, self.carry, self.push))
+        return tuple(x.astype(Wide) for x in self._plain)
 
     def outputs(self, errors: npt.NDArray[Any]) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
         """Return v (H, q, N) and the states met (H, n, N) of `errors` (H, p, N), in their dtype."""
         wide = errors.dtype == Wide
-        own, read, carry, push = (
-            self._wide if wide else (self.own, self.read, self.carry, self.push)
-        )
+        own, read, carry, push = self._wide if wide else self._plain
         v, states = own @ errors, push @ errors
         eta = np.zeros(states.shape[1:], errors.dtype)
         for t in self.order():
@@ -155,9 +161,9 @@ class Sensitivity(Frozen):
 
     def window(self, part: slice) -> Array:
         """Return the block of Psi of a `part` of the steps, as a matrix."""
-        own, read, carry, push = (x[part] for x in (self.own, self.read, self.carry, self.push))
-        cut, k = Sensitivity(own, read, carry, push, self.forward), own.shape[0] * own.shape[2]
-        unit = np.eye(k).reshape(len(own), -1, k)
+        own, read, carry, push = (array[part] for array in self._plain)
+        cut = Sensitivity(own, read, carry, push, self.forward)
+        unit = np.eye(k := len(cut)).reshape(len(cut.own), -1, k)
         v, states = cut.outputs(unit)
         t = cut.order()[-1]
         last = cut.carry[t] @ states[t] + cut.push[t] @ unit[t]

@@ -140,6 +140,8 @@ def test_what_is_no_system_is_refused(monkeypatch):
     system = sensitivity(task, "preview")
     with pytest.raises(ValueError, match=r"^carry: expected shape"):
         replace(system, carry=system.carry[1:])
+    with pytest.raises(ValueError, match=r"^carry: .*orthonormal"):
+        replace(system, carry=2 * system.carry)
     with pytest.raises(ValueError, match=r"^errors: expected shape"):
         system @ np.ones(2)
     monkeypatch.setattr(sensitivity_part, "PSI_TOLERANCE", 0.0)
