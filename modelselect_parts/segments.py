@@ -87,9 +87,7 @@ def _of_system(
     """Do so for a system, its last step being that with which it begins."""
     useful = found.reduced + (found.bound - found.base) <= max(excess, 0.0)
     moves = np.where(useful & (found.node < np.inf), found.node, np.inf)
-    deviation = np.where(
-        useful[..., None], form.mean - d.reshape(len(d) // form.mean.shape[2], 1, -1), 0
-    )
+    deviation = np.where(useful[..., None], form.mean - d.reshape(len(moves), 1, -1), 0)
     size = np.abs(deviation).max(axis=1)
     length = float((np.sqrt(system.diagonal()) * size.ravel()).sum())
     arrays = (system.own, system.read, system.carry, system.push, _reaches(system, size))
