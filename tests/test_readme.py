@@ -14,7 +14,7 @@ README = (ROOT / "README.md").read_text(encoding="utf-8")
 
 
 def test_the_example_runs_and_is_certified(capsys):
-    first, second = re.findall(r"```python\n(.*?)```", README, re.DOTALL)
+    first, second, third = re.findall(r"```python\n(.*?)```", README, re.DOTALL)
     names = {}
     exec(first, names)
     assert names["schedule"].is_optimal
@@ -27,6 +27,8 @@ def test_the_example_runs_and_is_certified(capsys):
     assert robot.perception_term(limited.choices) <= 0.5
     assert len(front) > 2
     assert all(point.is_optimal for point in front)
+    exec(third, names)
+    assert capsys.readouterr().out.endswith("True\n")
 
 
 @pytest.mark.unmutated
