@@ -122,8 +122,8 @@ class SelectionProblem(Frozen):
         if isinstance(Psi, Sensitivity) and len(Psi) > LONG and free:
             p = Psi.own.shape[2]
         else:
-            square = 2 * (np.shape(Psi)[-1:] or (None,))
-            Psi = check_array("psi", Psi, "pH pH", square)
+            Psi = as_numbers("psi", Psi)
+            Psi = check_array("psi", Psi, "pH pH", 2 * (Psi.shape[-1:] or (None,)))
             p = shape[-1] if len(shape) == 3 and shape[-1] and len(Psi) % shape[-1] == 0 else 1
         mean = check_array("mean", self.mean, "H W p", (len(Psi) // p, None, p))
         H, W, _ = mean.shape
@@ -347,7 +347,7 @@ class SelectionProblem(Frozen):
 
     def _total(
         self,
-        M: Array | trellis.Operator,
+        M: Array | Sensitivity,
         mu: Array,
         table: Array,
         arc: Array | None,

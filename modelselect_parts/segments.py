@@ -24,7 +24,7 @@ import numpy as np
 from modelselect_parts.checks import Array, Choices, Mask
 from modelselect_parts.interior_point import interior_point
 from modelselect_parts.label_search import Ahead, losses, negligible_strength, search
-from modelselect_parts.sensitivity import Sensitivity
+from modelselect_parts.sensitivity import Sensitivity, window
 from modelselect_parts.trellis import Certificate, Form, relaxed
 from modelselect_parts.triangle import (
     FREE,
@@ -55,7 +55,7 @@ def relax_in_windows(
     assert isinstance(form.M, Sensitivity)
     for a in range(0, len(weights), 2 * LAP):
         part = slice(lo := max(0, a - LAP), a + 3 * LAP)
-        M, mean = form.M.window(part), form.mean[part]
+        M, mean = window(form.M, part), form.mean[part]
         evaluate = functools.partial(relaxed, Form(M, mean, form.linear[part], form.size[part]))
         found, _ = interior_point(M, mean, allowed[part], evaluate, closed, **limits)
         weights[a : a + 2 * LAP] = found[a - lo : a - lo + 2 * LAP]

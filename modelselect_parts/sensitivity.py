@@ -79,7 +79,7 @@ class Sensitivity(Frozen):
         return int(self.own.shape[0] * self.own.shape[2])
 
     def __matmul__(self, errors: npt.ArrayLike) -> Array:
-        return self.product(check_array("errors", errors, "pH", (len(self),)))[0]
+        return product(self, check_array("errors", errors, "pH", (len(self),)))[0]
 
     def __rmul__(self, weight: float) -> Sensitivity:
         root = math.sqrt(weight)
@@ -87,7 +87,7 @@ class Sensitivity(Frozen):
 
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> Array:
         H, _, p = self.own.shape
-        v, _ = self.outputs(np.eye(p * H).reshape(H, p, p * H))
+        v, _ = outputs(self, np.eye(p * H).reshape(H, p, p * H))
         rows = v.reshape(-1, p * H)
         return np.asarray(rows.T @ rows, dtype)
 
@@ -119,68 +119,78 @@ class Sensitivity(Frozen):
     def _wide(self) -> tuple[npt.NDArray[Wide], ...]:
         return tuple(x.astype(Wide) for x in self._plain)
 
-    def outputs(self, errors: npt.NDArray[Any]) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
-        """Return v (H, q, N) and the states met (H, n, N) of `errors` (H, p, N), in their dtype."""
-        wide = errors.dtype == Wide
-        own, read, carry, push = self._wide if wide else self._plain
-        v, states = own @ errors, push @ errors
-        eta = np.zeros(states.shape[1:], errors.dtype)
-        for t in self.order():
-            v[t] += read[t] @ eta
-            states[t], eta = eta, carry[t] @ eta + states[t]
-        return v, states
 
-    def product(self, e: Array) -> tuple[Array, Array]:
-        """Return Psi e (pH,), and how far each entry may be off.
+def outputs(
+    system: Sensitivity, errors: npt.NDArray[Any]
+) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
+    """Return v (H, q, N) and the states met (H, n, N) of `errors` (H, p, N), in their dtype."""
+    wide = errors.dtype == Wide
+    own, read, carry, push = system._wide if wide else system._plain
+    v, states = own @ errors, push @ errors
+    eta = np.zeros(states.shape[1:], errors.dtype)
+    for t in system.order():
+        v[t] += read[t] @ eta
+        states[t], eta = eta, carry[t] @ eta + states[t]
+    return v, states
 
-        Every step adds to v, eta and z a rounding of k `WIDE_EPS` of what it sums; as no step
-        lengthens what it is given, these roundings add up at most.
-        """
-        own, read, carry, push = self._wide
-        H, _, p = own.shape
-        v, states = self.outputs(e.astype(Wide).reshape(H, p, 1))
-        z, costates = np.zeros(push.shape[1], Wide), np.zeros((H, push.shape[1]), Wide)
-        for t in reversed(self.order()):
-            costates[t] = z
-            z = read[t].T @ v[t, :, 0] + carry[t].T @ z
-        found = np.einsum("tqp,tq->tp", own, v[..., 0]) + np.einsum("tnp,tn->tp", push, costates)
-        column = np.sqrt(self.diagonal())
-        lengths = np.linalg.norm(np.hstack([v[..., 0], costates]).astype(float), axis=1)
-        off = self._rounding(states[..., 0], e) + self._unit * float(lengths.sum())
-        rounded = found.ravel().astype(float)
-        return rounded, 2 * off * column + EPS * np.abs(rounded)
 
-    def squares(self, errors: Array) -> tuple[Array, Array]:
-        """Return e'Psi e of `errors` (N, pH), and how far it may be off, (N,)."""
-        H, _, p = self.own.shape
-        e = errors.reshape(-1, H, p)
-        v, states = self.outputs(np.moveaxis(e, 0, -1).astype(Wide))
-        found = (v**2).sum(axis=(0, 1)).astype(float)
-        off = np.array([self._rounding(states[..., k], e[k]) for k in range(len(e))])
-        return found, 2 * np.sqrt(found) * off + off**2 + H * EPS * found
+def product(system: Sensitivity, e: Array) -> tuple[Array, Array]:
+    """Return Psi e (pH,), and how far each entry may be off.
 
-    def window(self, part: slice) -> Array:
-        """Return the block of Psi of a `part` of the steps, as a matrix."""
-        own, read, carry, push = (array[part] for array in self._plain)
-        cut = Sensitivity(own, read, carry, push, self.forward)
-        unit = np.eye(k := len(cut)).reshape(len(cut.own), -1, k)
-        v, states = cut.outputs(unit)
-        t = cut.order()[-1]
-        last = cut.carry[t] @ states[t] + cut.push[t] @ unit[t]
-        rows = np.concatenate([v.reshape(-1, k), last])
-        return np.asarray(rows.T @ rows)
+    Every step adds to v, eta and z a rounding of k `WIDE_EPS` of what it sums; as no step
+    lengthens what it is given, these roundings add up at most.
+    """
+    own, read, carry, push = system._wide
+    H, _, p = own.shape
+    v, states = outputs(system, e.astype(Wide).reshape(H, p, 1))
+    z, costates = np.zeros(push.shape[1], Wide), np.zeros((H, push.shape[1]), Wide)
+    for t in reversed(system.order()):
+        costates[t] = z
+        z = read[t].T @ v[t, :, 0] + carry[t].T @ z
+    found = np.einsum("tqp,tq->tp", own, v[..., 0]) + np.einsum("tnp,tn->tp", push, costates)
+    column = np.sqrt(system.diagonal())
+    lengths = np.linalg.norm(np.hstack([v[..., 0], costates]).astype(float), axis=1)
+    off = _rounding(system, states[..., 0], e) + _unit(system) * float(lengths.sum())
+    rounded = found.ravel().astype(float)
+    return rounded, 2 * off * column + EPS * np.abs(rounded)
 
-    @property
-    def _unit(self) -> float:
-        """What a step may lose, as a share of the lengths that it sums."""
-        q, p, n = *self.own.shape[1:], self.push.shape[1]
-        return float(2 * (q + p + n + 2) * math.sqrt(q + n + 1) * WIDE_EPS)
 
-    def _rounding(self, states: npt.NDArray[Any], e: Array) -> float:
-        """How far the outputs of e, stacked, may be off: the length of their error."""
-        H, _, p = self.own.shape
-        felt = np.sqrt(self.diagonal()).reshape(H, p) * np.abs(e.reshape(H, p))
-        return self._unit * float(np.linalg.norm(states.astype(float), axis=1).sum() + felt.sum())
+def squares(system: Sensitivity, errors: Array) -> tuple[Array, Array]:
+    """Return e'Psi e of `errors` (N, pH), and how far it may be off, (N,)."""
+    H, _, p = system.own.shape
+    e = errors.reshape(-1, H, p)
+    v, states = outputs(system, np.moveaxis(e, 0, -1).astype(Wide))
+    found = (v**2).sum(axis=(0, 1)).astype(float)
+    off = np.array([_rounding(system, states[..., k], e[k]) for k in range(len(e))])
+    return found, 2 * np.sqrt(found) * off + off**2 + H * EPS * found
+
+
+def window(system: Sensitivity, part: slice) -> Array:
+    """Return the block of Psi of a `part` of the steps, as a matrix."""
+    own, read, carry, push = (array[part] for array in system._plain)
+    cut = Sensitivity(own, read, carry, push, system.forward)
+    unit = np.eye(k := len(cut)).reshape(len(cut.own), -1, k)
+    v, states = outputs(cut, unit)
+    t = cut.order()[-1]
+    last = cut.carry[t] @ states[t] + cut.push[t] @ unit[t]
+    rows = np.concatenate([v.reshape(-1, k), last])
+    return np.asarray(rows.T @ rows)
+
+
+def _unit(system: Sensitivity) -> float:
+    """Return what a step may lose, as a share of the lengths that it sums."""
+    q, p, n = *system.own.shape[1:], system.push.shape[1]
+    return float(2 * (q + p + n + 2) * math.sqrt(q + n + 1) * WIDE_EPS)
+
+
+def _rounding(system: Sensitivity, states: npt.NDArray[Any], e: Array) -> float:
+    """How far the outputs of e, stacked, may be off: the length of their error."""
+    H, _, p = system.own.shape
+    felt = np.sqrt(system.diagonal()).reshape(H, p) * np.abs(e.reshape(H, p))
+    return _unit(system) * float(np.linalg.norm(states.astype(float), axis=1).sum() + felt.sum())
+
+
+# ---------------------------------------------------------------------------- from a task to it
 
 
 def sensitivity(
@@ -194,15 +204,17 @@ def sensitivity(
     product with it changes with the units of the states.
     """
     observer = observer_of(task, information, gains)
-    system = _in_felt_states(*_beliefs(task, information, observer))
-    other = _in_felt_states(*_beliefs(*in_other_units(task, information, observer)))
+    with np.errstate(over="ignore", invalid="ignore"):
+        plain = _in_felt_states(*_beliefs(task, information, observer))
+        other = _in_felt_states(*_beliefs(*in_other_units(task, information, observer)))
+    if not all(np.isfinite(array).all() for array in (*plain[:-1], *other[:-1])):
+        raise ValueError("task: Psi overflows; rescale the costs or C, or shorten the horizon")
+    system = Sensitivity(*plain)
     size = felt_size(task, system.diagonal())
     probe = np.cos(np.arange(len(size))) / size
-    found, length = system @ probe, math.sqrt(len(size))
-    if not (np.abs(found - other @ probe) <= PSI_TOLERANCE * length * size).all():
-        raise ValueError(
-            "task: Psi loses its digits, or overflows: rescale, or shorten the horizon"
-        )
+    off = np.abs(system @ probe - Sensitivity(*other) @ probe)
+    if not (off <= PSI_TOLERANCE * math.sqrt(len(size)) * size).all():
+        raise ValueError("task: Psi loses its digits with the units of states: use fewer steps")
     return system
 
 
@@ -242,7 +254,7 @@ def _beliefs(
 
 def _in_felt_states(
     own: Array, read: Array, carry: Array, push: Array, forward: bool
-) -> Sensitivity:
+) -> tuple[Array, Array, Array, Array, bool]:
     """Choose states whose length is what they add to later outputs.
 
     T'T is the Gramian of the outputs to come, T = 0 at the end.  With [read; T carry] = O T' (QR)
@@ -254,4 +266,4 @@ def _in_felt_states(
         push[t] = T @ push[t]
         basis, T = np.linalg.qr(np.vstack([read[t], T @ carry[t]]))
         read[t], carry[t] = basis[:q], basis[q:]
-    return Sensitivity(own, read, carry, push, forward)
+    return own, read, carry, push, forward

@@ -25,37 +25,20 @@ tight.  Who found it does not matter.  Without arcs the cheapest path is sum_t m
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from modelselect_parts.checks import Array, Choices
+from modelselect_parts.sensitivity import Sensitivity, product, squares
 
 EPS = float(np.finfo(float).eps)
-
-
-class Operator(Protocol):
-    """A matrix that is too large to stand in memory, as products (see sensitivity.py)."""
-
-    def __len__(self) -> int: ...
-    def __matmul__(self, x: Array, /) -> Array: ...
-    def product(self, x: Array) -> tuple[Array, Array]:
-        """Return M x, and how far each entry may be off."""
-        ...
-
-    def squares(self, x: Array) -> tuple[Array, Array]:
-        """Return x'M x of the rows of x, and how far each may be off."""
-        ...
-
-    def diagonal(self) -> Array:
-        """Return the diagonal."""
-        ...
 
 
 class Form(NamedTuple):
     """The selection problem on bare arrays."""
 
-    M: Array | Operator  #: (pH, pH), positive semidefinite
+    M: Array | Sensitivity  #: (pH, pH), positive semidefinite
     mean: Array  #: (H, W, p)
     linear: Array  #: (H, W), inf where a model is not available
     size: Array  #: (H, W), the sizes of the terms that `linear` was summed from
@@ -151,26 +134,26 @@ def slopes(form: Form, d: Array, multiplier: float = 0.0) -> tuple[Array, float]
     return G, constant
 
 
-def form_of(M: Array | Operator, x: Array) -> Any:
+def form_of(M: Array | Sensitivity, x: Array) -> Any:
     """Return x'M x of vectors x (..., pH)."""
     if isinstance(M, np.ndarray):
         return ((x @ M) * x).sum(axis=-1)
-    return M.squares(x.reshape(-1, len(M)))[0].reshape(x.shape[:-1])[()]
+    return squares(M, x.reshape(-1, len(M)))[0].reshape(x.shape[:-1])[()]
 
 
-def form_size(M: Array | Operator, x: Array) -> Any:
+def form_size(M: Array | Sensitivity, x: Array) -> Any:
     """Return sizes such that `rounding_unit` times them bounds how far `form_of` is off."""
     if isinstance(M, np.ndarray):
         return form_of(np.abs(M), np.abs(x))
-    found, off = M.squares(x.reshape(-1, len(M)))
+    found, off = squares(M, x.reshape(-1, len(M)))
     return (found + off / (len(M) * EPS)).reshape(x.shape[:-1])[()]
 
 
-def felt_sizes(M: Array | Operator, d: Array) -> Array:
+def felt_sizes(M: Array | Sensitivity, d: Array) -> Array:
     """Return sizes (pH,) such that `rounding_unit` times them bounds how far M d is off."""
     if isinstance(M, np.ndarray):
         return np.asarray(np.abs(M) @ np.abs(d))
-    found, off = M.product(d)
+    found, off = product(M, d)
     return np.abs(found) + off / (len(M) * EPS)
 
 

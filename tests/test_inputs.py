@@ -291,6 +291,10 @@ def task():
 
 
 @cache
+def system():
+    return ms.sensitivity(task(), "preview")
+
+
 def problem():
     return ms.SelectionProblem(PSI, MEAN, VARIANCE, PRICE, 1, 2)
 
@@ -498,6 +502,12 @@ ROWS: dict[str, tuple[Callable[..., Any], dict[str, Arg]]] = {
             "gains": real(numbered(3, 1) / 8),
         },
     ),
+    "sensitivity": (
+        ms.sensitivity,
+        {"task": TASK, "information": word("filter"), "gains": real(numbered(3, 1) / 8)},
+    ),
+    "Sensitivity.diagonal": (lambda: system().diagonal(), {}),
+    "Sensitivity.order": (lambda: system().order(), {}),
     "kalman_gains": (
         ms.kalman_gains,
         {
@@ -1022,7 +1032,7 @@ ROWS: dict[str, tuple[Callable[..., Any], dict[str, Arg]]] = {
 #: What functions return, and nobody makes by hand: fields without checks.
 RECORDS = {
     *("Riccati", "Pattern", "Schedule", "Relaxation", "Node", "ErrorCost", "Blend"),
-    *("ModelTable", "Scene", "Layer", "Network", "Trained"),
+    *("Sensitivity", "ModelTable", "Scene", "Layer", "Network", "Trained"),
     *("Preset", "Flights", "Result", "Regret", "Front"),
 }
 
@@ -1050,7 +1060,7 @@ def test_the_table_is_complete():
 
 def test_records_have_no_checks():
     found = {name: thing for module in MODULES for name, thing in public(module)}
-    for name in RECORDS - {"Schedule"}:  # which freezes its arrays
+    for name in RECORDS - {"Schedule", "Sensitivity"}:  # which freeze their arrays
         assert "__post_init__" not in vars(found[name])
 
 

@@ -60,9 +60,7 @@ relax relax_interior_point | test_relaxations_agree_with_a_general_convex_solver
 tests/test_sound.py
 SelectionProblem.defect | test_what_a_matrix_lacks_of_being_semidefinite_is_found_or_bounded | elimination in fractions
 tests/test_long_horizon.py
-sensitivity Sensitivity Sensitivity.diagonal Sensitivity.blocks Sensitivity.coupled Sensitivity.order | test_a_system_is_its_matrix | the dense matrix
-Sensitivity.outputs Sensitivity.product Sensitivity.squares | test_products_and_squares_are_off_by_no_more_than_they_say | recursion in fractions
-Sensitivity.window | test_a_window_is_a_block_of_the_matrix | the dense matrix
+sensitivity Sensitivity.diagonal Sensitivity.blocks Sensitivity.coupled Sensitivity.order | test_a_system_is_its_matrix | the dense matrix
 tests/test_constrained.py
 relax_by_columns | test_column_generation_meets_newtons_method_where_both_apply | the interior point
 pareto_front | test_the_front_is_that_of_all_schedules | the front of all schedules
@@ -151,6 +149,7 @@ RECORDS = {
     **{
         "Riccati": "riccati",
         "Pattern": "psi",
+        "Sensitivity": "sensitivity",
     },
     **{"Relaxation": "relax", "Node": "branch_and_bound"},
     **{"ErrorCost": "error_cost", "Blend": "solve_blend", "Scene": "draw_scenes"},
