@@ -675,7 +675,7 @@ def _searched(
         excess = max(0.0, cost - root - triangle.constant)
         if not steps:
             break
-        if passes == (1 if segments.is_long(problem.mean) else 3) and not complete:
+        if passes == segments.passes_before(form) and not complete:
             known = best[::turn]
             ahead = segments.bounds_ahead(triangle, steps, known, excess, slack, expired)
         lost = label_search.losses(triangle, steps, purse, excess, slack, least)

@@ -71,7 +71,10 @@ def columns(
             bound, best = found, Columns(b, d, lam, value, k)
         if closed(value, bound) or bound > ceiling or time_left() <= 0:
             break
-        kept = np.vstack([kept[(x > 0) | (np.arange(len(kept)) == 0)], path])
+        kept = kept[(x > 0) | (np.arange(len(kept)) == 0)]
+        if (kept == path).all(axis=1).any():
+            break  # no schedule is missing; the rest of the gap is the master's rounding
+        kept = np.vstack([kept, path])
     assert best is not None
     return best._replace(value=value, iterations=k)
 

@@ -43,8 +43,15 @@ WIDTHS = (64, 512, 4096)
 
 
 def is_long(mean: Array) -> bool:
-    """Whether segments side by side pay: measured, from some 400 steps on."""
+    """Whether there are segments enough to lie side by side."""
     return len(mean) > 2 * SEGMENTS[-1]
+
+
+def passes_before(form: Form) -> int:
+    """Return after how many passes of the search bounds ahead are worth their time, as measured."""
+    if isinstance(form.M, Sensitivity):
+        return 1
+    return 2 if is_long(form.mean) else 3
 
 
 def relax_in_windows(

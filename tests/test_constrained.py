@@ -335,7 +335,7 @@ def test_a_budget_that_nothing_keeps_is_told_what_would_do():
         SelectionProblem(np.eye(3), mean, mean, [2.5, 4], switch_cost=[[0, 1], [1, 0]], budget=7.0)
 
 
-@pytest.mark.parametrize("dear", [1e6, 1e12, 1e15, np.inf])
+@pytest.mark.parametrize("dear", [1e6, 1e13, np.inf])
 def test_a_budget_is_as_tight_whatever_a_model_costs_that_nobody_can_afford(dear):
     """Also where the dear thing is a switch; the front keeps all its points."""
     mean = np.tile([[1.0], [0.0], [0.0]], (2, 1, 1))
@@ -350,6 +350,14 @@ def test_a_budget_is_as_tight_whatever_a_model_costs_that_nobody_can_afford(dear
     mean = np.tile([[2.0], [1.0], [0.0], [0.0]], (3, 1, 1))
     problem = SelectionProblem(np.eye(3), mean, 0 * mean, [0, 0.5, 1.25, dear])
     assert len(ms.pareto_front(problem)) == 7
+
+
+def test_column_generation_ends_where_no_schedule_is_missing():
+    """Also at an optimum of 0, which no relative gap ever reaches."""
+    mean = np.tile([[2.0], [1.0], [0.0]], (3, 1, 1))
+    problem = SelectionProblem(np.eye(3), mean, 0 * mean, [0, 1, 2], budget=5.5, beta=0.0)
+    for budget in (6.0, 5.5, 3.0, 1.0):
+        assert ms.relax_by_columns(replace(problem, budget=budget)).iterations <= 20
 
 
 def test_a_refund_counts_among_the_sizes_of_what_is_spent():
