@@ -74,38 +74,28 @@ from __future__ import annotations
 import heapq
 import math
 import warnings
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
 from time import perf_counter
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from modelselect_parts import (
-    column_generation,
-    label_search,
-    local_search,
-    regulator,
-    segments,
-    trellis,
-)
+from modelselect_parts import column_generation, label_search, local_search, segments, trellis
+from modelselect_parts import regulator as controllers
 from modelselect_parts import triangle as triangles
 from modelselect_parts.blends import Blend, BlendProblem, sdp_blocks, solve_blend
 from modelselect_parts.checks import (
     Array,
     Choices,
-    Frozen,
     Mask,
     as_numbers,
     check_array,
     check_choices,
     check_count,
-    check_name,
     check_number,
-    check_range,
     check_semidefinite,
-    frozen,
     shown,
 )
 from modelselect_parts.descent import (
@@ -113,7 +103,6 @@ from modelselect_parts.descent import (
     closes,
     project_to_simplex,
     projected_gradient,
-    relative_gap,
     step_lengths,
 )
 from modelselect_parts.error_costs import ErrorCost, correlated_cost, error_cost
@@ -143,12 +132,12 @@ from modelselect_parts.regulator import (
     riccati,
     run_controller,
 )
+from modelselect_parts.schedule import OPTIMALITY_GAP, Schedule
 from modelselect_parts.semidefinite import semidefinite_root
 from modelselect_parts.sensitivity import Sensitivity, sensitivity
 
 __version__ = "0.2.0"
 
-OPTIMALITY_GAP = 1e-9
 SEARCH_SLACK = 1e-10
 MERGING = 30
 PERTURBATIONS = 50  #: trials of `local_search.perturbed`, where two passes did not prove
@@ -157,44 +146,11 @@ WIDTHS = [64 * 8**k for k in range(8)]  #: labels that the passes of `dynamic_pr
 
 def __getattr__(name: str) -> tuple[str, ...]:
     if name == "INFORMATION":  # the patterns that a task alone defines, read when asked
-        return regulator.INFORMATION
+        return controllers.INFORMATION
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 
-# --------------------------------------------------------------- schedules and certificates
-
-
-@dataclass(frozen=True, eq=False)
-class Schedule(Frozen):
-    """A schedule with its proof: every solver returns one."""
-
-    choices: Choices  #: (H,), model of every step
-    cost: float  #: `SelectionProblem.total_cost` of the choices
-    lower_bound: float  #: no schedule costs less; above root_bound by a search, or the prices
-    root_bound: float  #: LB(reference, multiplier), which `check_certificate` derives anew
-    reference: Array  #: (pH,), the point d: any d gives a bound, a good d a tight one
-    solver: str  #: name of the function that found the schedule
-    work: Mapping[str, Any] = field(default_factory=dict, repr=False)  #: counts, seconds, the tree
-    multiplier: float = 0.0  #: lam >= 0: total cost that one more unit of budget saves the bound
-
-    def __post_init__(self) -> None:
-        self._set(choices=frozen(np.asarray(self.choices, dtype=np.intp)))
-        self._set(reference=frozen(np.asarray(self.reference, dtype=np.float64)))
-
-    @property
-    def gap(self) -> float:
-        """(cost - lower_bound) / max(|cost|, |lower_bound|), or 0 where the two are equal."""
-        return relative_gap(self.cost, self.lower_bound)
-
-    @property
-    def proof(self) -> str:
-        """What carries `lower_bound`: "root", the certificate, or "search", a search's word."""
-        return "root" if self.lower_bound <= self.root_bound else "search"
-
-    @property
-    def is_optimal(self) -> bool:
-        """Whether the gap is at most `OPTIMALITY_GAP`, so that nothing is better by more."""
-        return self.gap <= OPTIMALITY_GAP
+# ---------------------------------------------------------------------------- certificates
 
 
 def reference_bound(
@@ -540,15 +496,16 @@ def _start(
     if relaxation is None:
         relaxation = _relax(problem, np.isfinite(problem.linear), 1e-7, math.inf, time_left)
     point = _own_weights(problem, relaxation)
-    choices, swaps = _swap(problem, point.weights.argmax(axis=1), time_left)
-    if not problem.form.bare:  # rounding may break the budget, and swaps are weak beside arcs
-        form, lam = problem.form, point.multiplier
+    starts, form = [point.weights.argmax(axis=1)], problem.form
+    if not form.bare:  # swaps are weak beside arcs
+        lam = point.multiplier
         priced = trellis.slopes(form, point.reference, lam)[0], form.priced(lam)
-        starts = [trellis.cheapest_path(problem._price, problem.switch_cost), choices]
         starts.append(trellis.cheapest_path(*priced))
-        swapped = [_swap(problem, c, time_left) for c in starts]
-        legal = [pair for pair in swapped if problem.is_feasible(pair[0])] or [(starts[0], 0)]
-        choices, swaps = min(legal, key=lambda pair: problem._accurate_cost(pair[0])[0])
+    if form.price is not None:  # which rounding may exceed
+        starts.append(trellis.cheapest_path(problem._price, problem.switch_cost))
+    swapped = [_swap(problem, c, time_left) for c in starts]
+    legal = [pair for pair in swapped if problem.is_feasible(pair[0])] or [(starts[-1], 0)]
+    choices, swaps = min(legal, key=lambda pair: problem._accurate_cost(pair[0])[0])
     return _certified(problem, choices, point, "round_and_swap", swaps=swaps)
 
 
@@ -869,7 +826,7 @@ def solve(
     return replace(best, lower_bound=min(best.cost, bound))
 
 
-# ------------------------------------------------------------------- the whole Pareto front
+# ---------------------------------------------------- the whole Pareto front; planning anew
 
 
 def pareto_front(
@@ -916,3 +873,27 @@ def pareto_front(
         if spent <= least or budget < least - problem._spending_slack(least):
             return front
         now = replace(now, budget=max(budget, least))
+
+
+def receding_horizon(
+    outlook: Callable[[int], SelectionProblem],
+    steps: int,
+    *,
+    budget: float | None = None,
+    time_limit: float | None = None,
+) -> Iterator[Schedule]:
+    """Plan anew at each of `steps` steps, run the first model of each plan; yield plan after plan.
+
+    outlook(t) is the problem from step t on, as it looks then: a window, or all steps that are
+    left, with the `pull` of what the state is known to be off by (`prior_pull`).  Its
+    `initial_model` is the one that ran before, its budget what is left of a `budget` for all steps.
+    Each plan takes `time_limit` seconds at most and has a certificate, and so a gap, of its own.
+    """
+    spent, known = 0.0, dict[str, Any]()
+    for t in range(check_count("steps", steps)):
+        if budget is not None:  # sums in another order differ by 1e-12 of it
+            known["budget"] = budget - spent + 1e-12 * abs(budget)
+        problem = replace(outlook(t), **known)
+        yield (found := solve(problem, time_limit=time_limit))
+        known["initial_model"] = int(found.choices[0])
+        spent += float(problem._price[0, found.choices[0]])

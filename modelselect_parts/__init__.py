@@ -3,6 +3,7 @@
 ================= ==============================================================================
 semidefinite      semidefinite matrices up to rounding: judged, mended, factored
 checks            the one checker of arguments, the types of array
+stored            objects as JSON and back
 exact             floats in exact numbers
 task              paper II: the task, what a flight costs, its Riccati recursion
 regulator         paper II: the controllers, what each of them knows, and Psi
@@ -11,6 +12,7 @@ sensitivity       Psi as a linear system, for horizons of which no matrix is wri
 trellis           the certificate, on bare arrays
 problem           paper III: which model to run at each step
 error_costs       what single models cost, and what errors that correlate over time cost
+schedule          a schedule with its proof
 hardness          why it is hard: PARTITION and MAXIMUM CUT as model selection
 descent           projected gradient with its duality gap
 interior_point    the fast relaxation, on bare arrays

@@ -18,7 +18,6 @@ from modelselect_parts import exact, trellis
 from modelselect_parts.checks import (
     Array,
     Choices,
-    Frozen,
     as_numbers,
     check_array,
     check_choices,
@@ -29,6 +28,7 @@ from modelselect_parts.checks import (
     frozen,
 )
 from modelselect_parts.sensitivity import Sensitivity
+from modelselect_parts.stored import Stored
 
 EXACT_BELOW = 1e-10
 EXACT_SIZE = 100
@@ -51,7 +51,7 @@ def from_one_hot(weights: npt.ArrayLike) -> Choices:
 
 
 @dataclass(frozen=True, eq=False)
-class SelectionProblem(Frozen):
+class SelectionProblem(Stored):
     """Which model to run at each step (``prob:model_selection_expectation``).
 
     E[total](c) = alpha (mu_c'Psi mu_c + sum_t trace(Psi_tt Sigma[t,w_t]) + sum_t g_t'mu[t,w_t])

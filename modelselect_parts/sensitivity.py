@@ -35,7 +35,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from modelselect_parts.checks import Array, Frozen, check_array, frozen
+from modelselect_parts.checks import Array, check_array, frozen
 from modelselect_parts.regulator import (
     PATTERNS,
     PSI_TOLERANCE,
@@ -47,6 +47,7 @@ from modelselect_parts.regulator import (
     observer_of,
 )
 from modelselect_parts.semidefinite import MATRIX_TOLERANCE
+from modelselect_parts.stored import Stored
 from modelselect_parts.task import ControlTask
 
 Wide = np.longdouble  # sums over ten thousand steps keep 16 digits, where machines have it
@@ -54,7 +55,7 @@ EPS, WIDE_EPS = float(np.finfo(float).eps), float(np.finfo(Wide).eps)
 
 
 @dataclass(frozen=True, eq=False)
-class Sensitivity(Frozen):
+class Sensitivity(Stored):
     """Psi as a linear system in the states that `sensitivity` chooses; made by it.
 
     ``@`` multiplies a vector (pH,), ``np.asarray`` builds the matrix.

@@ -652,6 +652,15 @@ ROWS: dict[str, tuple[Callable[..., Any], dict[str, Arg]]] = {
             "progress": function(float)._replace(valid="none"),
         },
     ),
+    "receding_horizon": (
+        lambda **given: list(ms.receding_horizon(**given)),
+        {
+            "outlook": function(lambda t: problem()),
+            "steps": count(2),
+            "budget": number(300.0, "none"),
+        }
+        | {"time_limit": LIMIT},
+    ),
     "error_cost": (ms.error_cost, {"problem": PROBLEM}),
     "correlated_cost": (
         ms.correlated_cost,

@@ -61,6 +61,8 @@ tests/test_sound.py
 SelectionProblem.defect | test_what_a_matrix_lacks_of_being_semidefinite_is_found_or_bounded | elimination in fractions
 tests/test_long_horizon.py
 sensitivity Sensitivity.diagonal Sensitivity.blocks Sensitivity.coupled Sensitivity.order | test_a_system_is_its_matrix | the dense matrix
+tests/test_on_board.py
+receding_horizon | test_who_learns_nothing_new_does_not_change_the_plan_for_a_dearer_one | the best of all schedules
 tests/test_constrained.py
 relax_by_columns | test_column_generation_meets_newtons_method_where_both_apply | the interior point
 pareto_front | test_the_front_is_that_of_all_schedules | the front of all schedules

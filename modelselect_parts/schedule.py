@@ -1,0 +1,51 @@
+"""A schedule with its proof: what every solver returns."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from modelselect_parts.checks import Array, Choices, check_array, frozen
+from modelselect_parts.descent import relative_gap
+from modelselect_parts.stored import Stored
+
+OPTIMALITY_GAP = 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class Schedule(Stored):
+    """A schedule with its proof: every solver returns one."""
+
+    choices: Choices  #: (H,), model of every step
+    cost: float  #: `SelectionProblem.total_cost` of the choices
+    lower_bound: float  #: no schedule costs less; above root_bound by a search, or the prices
+    root_bound: float  #: LB(reference, multiplier), which `check_certificate` derives anew
+    reference: Array  #: (pH,), the point d: any d gives a bound, a good d a tight one
+    solver: str  #: name of the function that found the schedule
+    work: Mapping[str, Any] = field(default_factory=dict, repr=False)  #: counts, seconds, the tree
+    multiplier: float = 0.0  #: lam >= 0: total cost that one more unit of budget saves the bound
+
+    def __post_init__(self) -> None:
+        choices = check_array("choices", self.choices, "H", (None,))
+        if (choices != np.floor(choices)).any():
+            raise ValueError("choices: expected integers, found others")
+        self._set(choices=frozen(choices.astype(np.intp)))
+        self._set(reference=check_array("reference", self.reference, "pH", (None,)))
+
+    @property
+    def gap(self) -> float:
+        """(cost - lower_bound) / max(|cost|, |lower_bound|), or 0 where the two are equal."""
+        return relative_gap(self.cost, self.lower_bound)
+
+    @property
+    def proof(self) -> str:
+        """What carries `lower_bound`: "root", the certificate, or "search", a search's word."""
+        return "root" if self.lower_bound <= self.root_bound else "search"
+
+    @property
+    def is_optimal(self) -> bool:
+        """Whether the gap is at most `OPTIMALITY_GAP`, so that nothing is better by more."""
+        return self.gap <= OPTIMALITY_GAP
