@@ -108,6 +108,12 @@ from modelselect_parts.checks import (
     frozen,
     shown,
 )
+from modelselect_parts.correlated import (
+    autoregressive_errors,
+    correlated_cost,
+    correlated_problem,
+    persistent_bias,
+)
 from modelselect_parts.descent import (
     Relaxation,
     closes,
@@ -116,8 +122,9 @@ from modelselect_parts.descent import (
     relative_gap,
     step_lengths,
 )
-from modelselect_parts.error_costs import ErrorCost, correlated_cost, error_cost
+from modelselect_parts.error_costs import ErrorCost, error_cost
 from modelselect_parts.hardness import maximum_cut_problem, partition_problem
+from modelselect_parts.held import expand_choices, hold
 from modelselect_parts.interior_point import congruence, interior_point
 from modelselect_parts.observers import kalman_gains
 from modelselect_parts.problem import (
