@@ -108,12 +108,8 @@ from modelselect_parts.checks import (
     frozen,
     shown,
 )
-from modelselect_parts.correlated import (
-    autoregressive_errors,
-    correlated_cost,
-    correlated_problem,
-    persistent_bias,
-)
+from modelselect_parts.correlated import correlated_cost, correlated_problem
+from modelselect_parts.covariances import autoregressive_errors, persistent_bias
 from modelselect_parts.descent import (
     Relaxation,
     closes,

@@ -12,7 +12,8 @@ trellis           the certificate, on bare arrays
 problem           paper III: which model to run at each step
 error_costs       what single models cost
 held              choices that hold for several steps
-correlated        errors that correlate over time: their cost, and the same problem for them
+covariances       errors that correlate over time: persistent biases, AR(1)
+correlated        what such errors cost, and the problem that they pose
 hardness          why it is hard: PARTITION and MAXIMUM CUT as model selection
 descent           projected gradient with its duality gap
 interior_point    the fast relaxation, on bare arrays

@@ -16,7 +16,7 @@ again: its W components are b itself, its mean errors unit vectors, its variance
 Models whose biases persist, unknown, average out like shares in a portfolio: halves of a flight
 under two of them cost H^2/2 where either alone costs H^2.
 
->>> Cov = persistent_bias([1, 1], np.zeros((4, 2, 1)))
+>>> Cov = np.kron(np.ones((4, 4)), np.eye(2)).reshape(4, 2, 4, 2)  # two biases of variance 1
 >>> problem = SelectionProblem(np.ones((4, 4)), np.zeros((4, 2, 1)), np.zeros((4, 2, 1)), [0, 0])
 >>> correlated_cost(problem, [[0, 0, 0, 0], [0, 1, 0, 1]], Cov)
 array([16.,  8.])
@@ -40,7 +40,6 @@ from modelselect_parts.checks import (
     as_numbers,
     check_array,
     check_choices,
-    check_range,
     check_semidefinite,
 )
 from modelselect_parts.problem import SelectionProblem
@@ -51,73 +50,7 @@ Covariance = npt.ArrayLike | Callable[[int, int, int, int], npt.ArrayLike]
 SAFETY = (1e-6, 1e-3)  # shares of the largest multiple that rounding may take, first try, second
 
 
-# ---------------------------------------------------------------------------- the covariance
-
-
-def persistent_bias(
-    bias_variance: npt.ArrayLike,
-    white_variance: npt.ArrayLike,
-    *,
-    correlation: npt.ArrayLike | None = None,
-) -> Array:
-    """Covariance (H, W, p, H, W, p) of a bias that lasts for the whole run, plus white errors.
-
-    e[t,w] = b_w + n[t,w]: b_w is drawn once, with `bias_variance` (W,) where p = 1, or (W, p), such
-    as what a calibration leaves; n anew at every step, with `white_variance` (H, W, p).  The biases
-    of two models have this `correlation` (W, W), by default none; components have none.
-    """
-    white = check_array("white_variance", white_variance, "H W p", (None, None, None))
-    H, W, p = white.shape
-    given = as_numbers("bias_variance", bias_variance)
-    given = given[:, None] if p == 1 and given.ndim == 1 else given
-    lasting = check_array("bias_variance", given, "W p", (W, p))
-    check_range("bias_variance", lasting)
-    size = np.broadcast_to(np.sqrt(lasting), (H, W, p))
-    return _over_time(size, white, np.ones(W), _correlation(correlation, W))
-
-
-def autoregressive_errors(
-    variance: npt.ArrayLike, rho: npt.ArrayLike, *, correlation: npt.ArrayLike | None = None
-) -> Array:
-    """Covariance (H, W, p, H, W, p) of errors that follow AR(1): x[t,w] = rho_w x[t-1,w] + noise.
-
-    e[t,w] = sqrt(variance[t,w]) x[t,w], componentwise, with x of unit variance throughout;
-    `variance` (H, W, p), and `rho`, from -1 to 1, is a number or one for each model, (W,).  At the
-    same step x of two models have this `correlation` R (W, W), by default none, and
-    so Cov(x[t,w], x[k,v]) = R[w,v] rho_w^(t-k) for t >= k; components are independent.
-    """
-    spread = check_array("variance", variance, "H W p", (None, None, None))
-    W = spread.shape[1]
-    given = as_numbers("rho", rho)
-    last = check_array("rho", np.full(W, given) if given.ndim == 0 else given, "W", (W,))
-    check_range("rho", np.abs(last), 1)
-    check_range("variance", spread)
-    R = _correlation(correlation, W)
-    # The noise that keeps x at correlation R has this covariance: it must be one.
-    check_semidefinite("correlation", R * (1 - np.outer(last, last)))
-    return _over_time(np.sqrt(spread), np.zeros_like(spread), last, R)
-
-
-def _correlation(given: npt.ArrayLike | None, W: int) -> Array:
-    R = check_array("correlation", np.eye(W) if given is None else given, "W W", (W, W))
-    if (R.diagonal() != 1).any():
-        raise ValueError("correlation: expected 1 on the diagonal, found others")
-    return check_semidefinite("correlation", R)
-
-
-def _over_time(size: Array, white: Array, rho: Array, R: Array) -> Array:
-    """Covariance of size[t,w,r] x[t,w,r] + white errors, x of lag correlations R rho^|t-k|."""
-    check_range("white_variance", white)
-    H, W, p = size.shape
-    lag = np.subtract.outer(np.arange(H), np.arange(H))
-    result = np.zeros((H, W, p, H, W, p))
-    for w, v in np.argwhere(R):
-        x = R[w, v] * np.where(lag >= 0, rho[w], rho[v]) ** np.abs(lag)  # the later one's memory
-        for r in range(p):
-            result[:, w, r, :, v, r] = np.outer(size[:, w, r], size[:, v, r]) * x
-    at = tuple(np.indices(size.shape))
-    result[at + at] += white
-    return result
+# ---------------------------------------------------------------------- covariances, as given
 
 
 def _joint(problem: SelectionProblem, covariance: Covariance, t: Choices, w: Choices) -> Array:
@@ -148,14 +81,14 @@ def _entry(found: npt.ArrayLike, p: int) -> Array:
 
 
 def _clearly_semidefinite(A: Array) -> bool:
-    """Whether Cholesky's method says so of A + tolerance: ten times faster than eigenvalues."""
+    """Whether Cholesky's method says so, up to its rounding: ten times faster than eigenvalues."""
     root = np.sqrt(np.maximum(A.diagonal(), 1e-300))
     with np.errstate(over="ignore"):
         scaled = A / root / root[:, None]
     if not (A == A.T).all() or not np.isfinite(scaled).all():
         return False
     try:
-        np.linalg.cholesky(scaled + MATRIX_TOLERANCE * len(A) * np.eye(len(A)))
+        np.linalg.cholesky(scaled + 10 * EPSILON * len(A) * np.eye(len(A)))
     except np.linalg.LinAlgError:
         return False
     return True
@@ -192,44 +125,48 @@ def correlated_problem(problem: SelectionProblem, covariance: Covariance) -> Sel
     """Return the problem of W components in which every schedule costs its `correlated_cost`.
 
     Takes `covariance` as `correlated_cost` does, in the place of the problem's variance; prices,
-    weights, switching costs and budget stay.  Psi' is the module's; what is on its diagonal alone
-    is better paid by the step, as b^2 = b for a choice but b^2 < b for the fraction of one in a
-    relaxation: so as much of the diagonal as leaves Psi' semidefinite becomes `pull`, beside
-    what the problem's own pull makes of the mean errors, g[t,w] = g_t'mu[t,w].
+    weights, switching costs and budget stay.  With Psi' of the module,
+
+        b'Psi'b = b'(Psi' - diag(g))b + g'b,    as b^2 = b for a choice.
+
+    But b^2 < b for the fraction of one, so that relaxations cost more, and prove more, the larger
+    g is: it takes as much as leaves Psi' semidefinite and becomes `pull`, beside what the problem's
+    own pull makes of the mean errors.
     """
     H, W, p = problem.mean.shape
-    t, w = np.divmod(np.arange(H * W), W)
-    joint = _joint(problem, covariance, t, w)
-    mu = problem.mean.ravel()
-    second = (joint + np.outer(mu, mu)).reshape(2 * (H, W, p))
-    Psi = np.asarray(problem.psi).reshape(2 * (H, p))
-    lifted = np.einsum("trks,twrkvs->twkv", Psi, second).reshape(2 * (H * W,))
+    joint = _joint(problem, covariance, *np.divmod(np.arange(H * W), W))
+    mu, Psi = problem.mean.ravel(), np.asarray(problem.psi).reshape(2 * (H, p))
+    M = (joint + np.outer(mu, mu)).reshape(2 * (H, W, p))
+    lifted = np.einsum("trks,twrkvs->twkv", Psi, M).reshape(2 * (H * W,))
     lifted = (lifted + lifted.T) / 2
-    white = np.einsum("tii,twi->tw", problem.blocks, _white(joint, H).reshape(H, W, p))
-    coupled, pull = _without_diagonal(lifted, white.ravel())
-    pull = pull.reshape(H, W)
+    # Where terms cancel, rounding may leave a square negative: b^2 - b may be added as well.
+    size = np.einsum("trs,twrtws->tw", np.abs(problem.blocks), np.abs(M)).ravel()
+    raised = lifted + np.diag(len(joint) * EPSILON * size)
+    coupled = _without_diagonal(raised, _white(problem, joint))
+    pull = (lifted - coupled).diagonal().reshape(H, W)
     if problem.pull is not None:
         pull = pull + problem._pulled(problem.pull, problem.mean)
     unit, none = np.tile(np.eye(W), (H, 1, 1)), np.zeros((H, W, W))
     return replace(problem, psi=coupled, mean=unit, variance=none, pull=pull)
 
 
-def _white(joint: Array, H: int) -> Array:
-    """Guess how much of each variance, flat (HWp,), is uncorrelated in time.
+def _white(problem: SelectionProblem, joint: Array) -> Array:
+    """Guess what the errors that are uncorrelated in time cost each step, flat (HW,).
 
-    That is by how much it exceeds all covariances with the same error at other steps: the white
-    part exactly, where a persistent bias is the rest.
+    That is by how much trace(Psi_tt Cov[e_t, e_t]) exceeds trace(Psi_tt Cov[e_t, e_k]) at all other
+    steps k: the cost of the white part exactly, where a persistent bias is the rest.
     """
-    C = np.abs(np.einsum("tjkj->jtk", joint.reshape(2 * (H, len(joint) // H))))
-    variance = np.diagonal(C, axis1=1, axis2=2)
-    others = np.where(np.eye(H, dtype=bool), 0, C).max(axis=2)
-    return np.asarray(np.maximum(variance - others, 0).T.ravel())
+    H, W, p = problem.mean.shape
+    traces = np.einsum("trs,twrkws->wtk", problem.blocks, joint.reshape(2 * (H, W, p)))
+    own, same = np.diagonal(traces, axis1=1, axis2=2), np.eye(H, dtype=bool)
+    others = np.where(same, 0, np.abs(traces)).max(axis=2)
+    return np.asarray(np.maximum(own - others, 0).T.ravel())
 
 
-def _without_diagonal(S: Array, white: Array) -> tuple[Array, Array]:
-    """Split S = coupled + diag(pull), coupled still semidefinite; return both.
+def _without_diagonal(S: Array, white: Array) -> Array:
+    """Take off the diagonal of S what leaves it semidefinite.
 
-    The pull is the largest multiple of the `white` part, or of the diagonal if that is more.
+    The largest multiple of the `white` part, or of the diagonal if that is more.
     """
     felt = np.flatnonzero(S.diagonal() > 0)
     own = S.diagonal()[felt]
@@ -237,8 +174,7 @@ def _without_diagonal(S: Array, white: Array) -> tuple[Array, Array]:
     shares = [_largest_multiple(A, shape) for shape in (white[felt] / own, np.ones(len(felt)))]
     share = np.zeros(len(S))
     share[felt] = max(shares, key=np.sum)
-    coupled = S - np.diag(share * S.diagonal())
-    return coupled, S.diagonal() - coupled.diagonal()
+    return S - np.diag(share * S.diagonal())
 
 
 def _largest_multiple(A: Array, shape: Array) -> Array:

@@ -8,12 +8,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 import landing
 import modelselect as ms
 from modelselect import SelectionProblem, autoregressive_errors, persistent_bias
 
-from strategies import every_schedule, gram, sign_patterns
+from strategies import every_schedule, gram, numbers, problems, sign_patterns
 
 SEEDS = pytest.mark.parametrize("seed", range(30))
 
@@ -57,10 +59,12 @@ def drawn_cost(problem, factor, c):
     control = np.mean(((e @ problem.psi) * e).sum(axis=1))
     if problem.pull is not None:
         control += np.mean(e @ problem.pull.ravel())
-    paid = [*problem.model_cost[t, c]]
+    price = np.broadcast_to(problem.model_cost, problem.mean.shape[:2])
+    paid = [*price[t, c]]
     if problem.switch_cost is not None:
         paid += [problem.switch_cost[v, w] for v, w in zip([0, *c[:-1]], c, strict=True)]
-    return problem.alpha * control + problem.beta * sum(paid)
+    spent = sum(paid)
+    return problem.alpha * control + problem.beta * spent if spent < np.inf else np.inf
 
 
 @SEEDS
@@ -94,7 +98,25 @@ def test_what_is_left_is_semidefinite_and_what_is_taken_is_not_negative(seed):
     lifted = ms.correlated_problem(replace(problem, pull=None), covariance_of(factor))
     least = np.linalg.eigvalsh(lifted.psi)[0]
     assert least >= -1e-13 * np.abs(lifted.psi).max()
-    assert lifted.pull.min() >= 0
+    assert lifted.pull.min() >= -1e-13 * np.abs(lifted.psi).max()
+
+
+@given(problems(), st.integers(0, 2**32 - 1), st.booleans())
+def test_singular_and_whole_problems_of_any_unit_cost_the_same_and_are_solved(problem, seed, whole):
+    rng = np.random.default_rng(seed)
+    factor = numbers(rng, (*problem.mean.shape, 6), whole)
+    lifted = ms.correlated_problem(problem, covariance_of(factor))
+    schedules = every_schedule(problem)
+    expected = np.array([drawn_cost(problem, factor, c) for c in schedules])
+    found, usable = lifted.total_cost(schedules), np.isfinite(expected)
+    np.testing.assert_array_equal(np.isfinite(found), usable)
+    found, expected = found[usable], expected[usable]
+    size = np.linalg.norm(problem.psi) * ((factor**2).sum() + (problem.mean**2).sum())
+    within = 1e-11 * (problem.alpha * size + np.abs(expected).max())
+    assert np.abs(found - expected).max() <= within
+    best, least = ms.solve(lifted), expected.min()
+    assert best.lower_bound - within <= least <= best.cost + within
+    assert best.cost - best.lower_bound <= 1e-9 * best.cost + within
 
 
 def test_three_lines_for_biases_that_nobody_knows():
@@ -215,13 +237,30 @@ def tiny():
 def test_white_errors_become_the_pull_and_persistent_ones_stay(p):
     """All of a white part that varies by model and step; Psi alone has nothing to give (rank 1)."""
     rng, H, W = np.random.default_rng(3), 6, 3
-    white = rng.random((H, W, p)) + 0.1
+    white = gram(rng, (H, W, p), p, False)
     Psi = np.outer(*2 * (rng.random(H * p) + 0.5,))
     problem = SelectionProblem(Psi, np.zeros((H, W, p)), white, np.zeros(W))
-    lifted = ms.correlated_problem(problem, persistent_bias(rng.random((W, p)), white))
+    Cov, (t, w) = persistent_bias(rng.random((W, p)), np.zeros((H, W, p))), np.indices((H, W))
+    Cov[t, w, :, t, w] += white
+    lifted = ms.correlated_problem(problem, Cov)
     np.testing.assert_allclose(lifted.pull, problem.spread, rtol=1e-5)
     values = np.linalg.eigvalsh(lifted.psi)
-    assert values[-W * p] > 1e-2 * values[-1] and values[-W * p - 1] < 1e-5 * values[-1]
+    assert values[-W * p] > 1e-3 * values[-1] and values[-W * p - 1] < 1e-5 * values[-1]
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_errors_that_the_controller_does_not_feel_leave_rounding_only(seed):
+    """Psi_tt = uu' and errors across u: squares that cancel, of either sign as computed."""
+    rng, H = np.random.default_rng(seed), 4
+    u = rng.normal(size=2)
+    Psi = np.kron(gram(rng, (H,), 2, False), np.outer(u, u))
+    factor = rng.normal(size=(H, 2, 2, 6))
+    factor[:, 0] = np.multiply.outer([-u[1], u[0]], rng.normal(size=(H, 6))).swapaxes(0, 1)
+    problem = SelectionProblem(Psi, np.zeros((H, 2, 2)), np.zeros((H, 2, 2)), [1, 0])
+    lifted = ms.correlated_problem(problem, covariance_of(factor))
+    for c in every_schedule(problem):
+        expected = drawn_cost(problem, factor, c)
+        assert lifted.total_cost(c) == pytest.approx(expected, rel=1e-12, abs=1e-11)
 
 
 def test_autoregressive_errors_give_the_least_eigenvalue_of_their_correlations():
