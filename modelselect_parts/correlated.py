@@ -14,7 +14,7 @@ Psi' is semidefinite by Schur's product theorem.  So errors that correlate pose 
 again: its W components are b itself, its mean errors unit vectors, its variance 0, whatever p is.
 
 Models whose biases persist, unknown, average out like shares in a portfolio: halves of a flight
-under two of them cost H^2/2 where either alone costs H^2.
+under two of them, of variance 1 and with Psi = 11', cost H^2/2 where either alone costs H^2.
 
 >>> Cov = np.kron(np.ones((4, 4)), np.eye(2)).reshape(4, 2, 4, 2)  # two biases of variance 1
 >>> problem = SelectionProblem(np.ones((4, 4)), np.zeros((4, 2, 1)), np.zeros((4, 2, 1)), [0, 0])

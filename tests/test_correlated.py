@@ -272,6 +272,14 @@ def test_autoregressive_errors_give_the_least_eigenvalue_of_their_correlations()
     assert least > (1 - rho) / (1 + rho)
 
 
+def test_what_psi_itself_has_on_its_diagonal_alone_is_taken_out_too():
+    """Psi = 11' + I under persistent errors of variance 4: Psi' = 4 x 11' + 4 I for each model."""
+    zero = np.zeros((5, 2, 1))
+    problem = SelectionProblem(np.ones((5, 5)) + np.eye(5), zero, zero, [0, 0])
+    lifted = ms.correlated_problem(problem, persistent_bias([4, 4], zero))
+    np.testing.assert_allclose(lifted.pull, 4, rtol=1e-5)
+
+
 # -------------------------------------------------------------------- the portfolio effect
 
 
