@@ -15,7 +15,7 @@ export MPLBACKEND ?= Agg
 export PIP_DISABLE_PIP_VERSION_CHECK ?= 1
 
 NOTEBOOKS  := $(wildcard notebooks/build.py)
-BENCHMARKS := $(wildcard benchmarks/peers.py benchmarks/scaling.py)
+BENCHMARKS := $(wildcard benchmarks/peers.py benchmarks/scaling.py benchmarks/correlated.py)
 
 .DEFAULT_GOAL := help
 .PHONY: .venv help landing test lint format types notebooks notebooks-check book bench mutation \

@@ -98,6 +98,8 @@ from modelselect_parts.checks import (
     check_semidefinite,
     shown,
 )
+from modelselect_parts.correlated import correlated_cost, correlated_problem
+from modelselect_parts.covariances import autoregressive_errors, persistent_bias
 from modelselect_parts.descent import (
     Relaxation,
     closes,
@@ -105,13 +107,12 @@ from modelselect_parts.descent import (
     projected_gradient,
     step_lengths,
 )
-from modelselect_parts.error_costs import ErrorCost, correlated_cost, error_cost
+from modelselect_parts.error_costs import ErrorCost, error_cost
 from modelselect_parts.hardness import maximum_cut_problem, partition_problem
+from modelselect_parts.held import expand_choices, hold
 from modelselect_parts.interior_point import congruence, interior_point
 from modelselect_parts.observers import kalman_gains
 from modelselect_parts.problem import (
-    EXACT_BELOW,
-    EXACT_SIZE,
     SelectionProblem,
     from_one_hot,
     is_separable,
@@ -884,15 +885,15 @@ def receding_horizon(
 ) -> Iterator[Schedule]:
     """Plan anew at each of `steps` steps, run the first model of each plan; yield plan after plan.
 
-    outlook(t) is the problem from step t on, as it looks then: a window, or all steps that are
-    left, with the `pull` of what the state is known to be off by (`prior_pull`).  Its
-    `initial_model` is the one that ran before, its budget what is left of a `budget` for all steps.
-    Each plan takes `time_limit` seconds at most and has a certificate, and so a gap, of its own.
+    outlook(t) is the problem from step t on, as it looks then: a window, or all that is left, with
+    the `pull` of a known error of the state (`prior_pull`); here it gets the model that ran before
+    as `initial_model`, and what is left of a `budget`.  Each plan has a certificate of its own.
     """
     spent, known = 0.0, dict[str, Any]()
+    budget = None if budget is None else check_number("budget", budget)
     for t in range(check_count("steps", steps)):
-        if budget is not None:  # sums in another order differ by 1e-12 of it
-            known["budget"] = budget - spent + 1e-12 * abs(budget)
+        if budget is not None:
+            known["budget"] = budget - spent + 1e-12 * abs(budget)  # see Tolerances
         problem = replace(outlook(t), **known)
         yield (found := solve(problem, time_limit=time_limit))
         known["initial_model"] = int(found.choices[0])

@@ -11,8 +11,11 @@ observers         gains of a Kalman filter
 sensitivity       Psi as a linear system, for horizons of which no matrix is written down
 trellis           the certificate, on bare arrays
 problem           paper III: which model to run at each step
-error_costs       what single models cost, and what errors that correlate over time cost
 schedule          a schedule with its proof
+error_costs       what single models cost
+held              choices that hold for several steps
+covariances       errors that correlate over time: persistent biases, AR(1)
+correlated        what such errors cost, and the problem that they pose
 hardness          why it is hard: PARTITION and MAXIMUM CUT as model selection
 descent           projected gradient with its duality gap
 interior_point    the fast relaxation, on bare arrays

@@ -1,20 +1,12 @@
-r"""What errors cost a controller: of models that run at every step, and correlated over time."""
+"""What errors cost a controller, of models that run at every step."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
-from modelselect_parts.checks import (
-    Array,
-    as_numbers,
-    check_array,
-    check_choices,
-    check_semidefinite,
-)
+from modelselect_parts.checks import Array
 from modelselect_parts.problem import SelectionProblem
 
 
@@ -47,31 +39,3 @@ def error_cost(problem: SelectionProblem) -> ErrorCost:
     mean_square = (problem.mean**2 + variance).sum(axis=-1).mean(axis=0)
     mu = problem.chosen_mean(always)
     return ErrorCost(mean_square, own + noise, ((mu @ problem.psi) * mu).sum(axis=1), noise)
-
-
-def correlated_cost(
-    problem: SelectionProblem,
-    choices: npt.ArrayLike,
-    covariance: Callable[[int, int, int, int], npt.ArrayLike],
-) -> float:
-    """Return the exact expected total cost of `choices` (H,) whose errors correlate over time.
-
-    alpha (mu_c'Psi mu_c + sum_{t,k} sum(Psi_tk * Cov[e_t, e_k]) + g'mu_c) + beta perception_term,
-    an extension of ``eq:expTmp1``, whose assumption of independence keeps the terms t = k only.
-    covariance(t, w, k, v), (p, p) or a number where p = 1, is that of model w's error at step t
-    with model v's at step k, in the place of `problem.variance`.
-    """
-    H, W, p = problem.mean.shape
-    c = check_choices(choices, H, W)
-
-    def block(t: int, k: int) -> Array:
-        found = as_numbers("covariance", covariance(t, int(c[t]), k, int(c[k])))
-        found = found.reshape(1, 1) if p == 1 and found.ndim == 0 else found
-        return check_array("covariance", found, "p p", (p, p))
-
-    joint = np.block([[block(t, k) for k in range(H)] for t in range(H)])
-    check_semidefinite("covariance", joint)
-    mu = problem.chosen_mean(c)
-    control = mu @ problem.psi @ mu + (problem.psi * joint).sum()
-    control += 0.0 if problem.pull is None else problem.pull.ravel() @ mu
-    return float(problem.alpha * control + problem.beta * problem.perception_term(c))

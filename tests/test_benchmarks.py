@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from modelselect import enumerate_schedules
+from modelselect import correlated_cost, enumerate_schedules
 
 FOLDER = Path(__file__).resolve().parents[1] / "benchmarks"
 KINDS = ["switching", "budget", "both"]
@@ -54,3 +54,32 @@ def test_the_constrained_benchmark_runs_in_small(tmp_path):
     subprocess.run([*command, "--output", tmp_path], check=True, capture_output=True)
     written = (tmp_path / "constrained.md").read_text(encoding="utf-8")
     assert "| both | preview/step |" in written
+
+
+@pytest.mark.unmutated
+def test_the_benchmark_of_correlated_errors_runs_in_small(tmp_path):
+    for package in ("pyscipopt", "gurobipy"):  # whose versions it names
+        pytest.importorskip(package, reason="pip install '.[benchmarks]'")
+    command = [sys.executable, FOLDER / "correlated.py", "--quick", "--output", tmp_path]
+    subprocess.run(command, check=True, capture_output=True)
+    written = (tmp_path / "correlated.md").read_text(encoding="utf-8")
+    assert "| persistent | 12, 2 |" in written and "| AR(1) | 12, 2 |" in written
+
+
+@pytest.mark.parametrize("kind", ["persistent", "AR(1)"])
+def test_the_instances_of_correlated_errors_are_solved(load, kind):
+    correlated = load("correlated")
+    row = correlated.run(kind, 1, 8, 2, 20.0)
+    problem, Cov = correlated.instance(kind, 1, 8, 2)
+    schedules = np.array(np.meshgrid(*[[0, 1]] * 8)).reshape(8, -1).T
+    assert row["proved"]
+    assert row["cost"] == pytest.approx(correlated_cost(problem, schedules, Cov).min(), rel=1e-9)
+
+
+@pytest.mark.unmutated
+def test_the_benchmark_of_planning_anew_runs_in_small(tmp_path):
+    for package in ("pyscipopt", "gurobipy"):  # whose versions it names
+        pytest.importorskip(package, reason="pip install '.[benchmarks]'")
+    command = [sys.executable, FOLDER / "receding.py", "--quick", "--output", tmp_path]
+    subprocess.run(command, check=True, capture_output=True)
+    assert "| 2 | yes | mixed | 8 |" in (tmp_path / "receding.md").read_text(encoding="utf-8")

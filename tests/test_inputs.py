@@ -283,6 +283,7 @@ FACTOR = numbered(P * H, P * H)
 PSI = FACTOR @ FACTOR.T + np.eye(P * H)  # whole numbers below 2^24
 MEAN, VARIANCE, PRICE = numbered(H, W, P), numbered(H, W, P) ** 2, np.array([0.0, 20, 40])
 SWITCH = np.array([[0.0, 1, 2], [3, 0, 4], [5, 6, 0]])
+COVARIANCE = np.eye(H * W * P).reshape(H, W, P, H, W, P)
 
 
 @cache
@@ -665,6 +666,38 @@ ROWS: dict[str, tuple[Callable[..., Any], dict[str, Arg]]] = {
     "correlated_cost": (
         ms.correlated_cost,
         {"problem": PROBLEM, "choices": STEPS, "covariance": function(covariance)},
+    ),
+    "correlated_cost/array": (
+        ms.correlated_cost,
+        {"problem": PROBLEM, "choices": STEPS, "covariance": weight(COVARIANCE)},
+    ),
+    "correlated_problem": (
+        lambda **given: ms.correlated_problem(**given).total_cost([0, 2, 1, 2]),
+        {"problem": PROBLEM, "covariance": weight(COVARIANCE, blames="psi")},
+    ),
+    "persistent_bias": (
+        ms.persistent_bias,
+        {
+            "bias_variance": weight(VARIANCE[0]),
+            "white_variance": weight(VARIANCE, "length-0", blames="bias_variance"),
+            "correlation": weight(np.eye(W), "none"),
+        },
+    ),
+    "autoregressive_errors": (
+        ms.autoregressive_errors,
+        {
+            "variance": weight(VARIANCE, "length-0 length-2 transposed", blames="rho"),
+            "rho": weight([0, 0.5, 0.25], "rank-0 rank-less"),
+            "correlation": weight(np.eye(W), "none"),
+        },
+    ),
+    "hold": (
+        lambda problem, steps: ms.hold(problem, steps).total_cost(np.ones(-(-H // int(steps)))),
+        {"problem": PROBLEM, "steps": count(3)},
+    ),
+    "expand_choices": (
+        ms.expand_choices,
+        {"choices": index([0, 2], "too-large"), "steps": count(3), "horizon": count(H)},
     ),
     # ---- modelselect: blends, the gadget
     "BlendProblem": (

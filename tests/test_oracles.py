@@ -77,6 +77,12 @@ solve_blend | test_the_solver_of_blends_meets_a_general_qp_solver | cvxpy's quad
 sdp_blocks | test_an_sdp_solver_on_our_blocks_meets_a_qp_solver_on_the_definition | cvxpy's semidefinite against quadratic programme
 partition_problem | test_the_optimum_of_the_gadget_is_that_of_a_table_over_signed_sums | a table of all signed sums
 maximum_cut_problem | test_the_cheapest_schedule_is_a_maximum_cut | all cuts of random graphs
+tests/test_correlated.py
+correlated_problem | test_every_schedule_costs_what_all_draws_cost_on_average | average over all correlated draws
+persistent_bias | test_a_persistent_bias_has_the_covariance_of_its_draws | products of sampled errors
+autoregressive_errors | test_autoregressive_errors_have_the_covariance_of_their_recursion | products of errors sampled by recursion
+tests/test_held.py
+hold expand_choices | test_every_schedule_costs_and_spends_what_the_one_that_repeats_it_does | the unheld problem, choices repeated by hand
 tests/test_perception.py
 PerceptionSuite | test_a_suite_holds_what_it_was_given | the arrays given, by hand
 PerceptionSuite.pick | test_picked_models_keep_their_entries | a plain loop over models
