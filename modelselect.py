@@ -113,6 +113,7 @@ from modelselect_parts.held import expand_choices, hold
 from modelselect_parts.interior_point import congruence, interior_point
 from modelselect_parts.observers import kalman_gains
 from modelselect_parts.problem import (
+    EXACT_BELOW,
     SelectionProblem,
     from_one_hot,
     is_separable,
@@ -139,8 +140,7 @@ from modelselect_parts.sensitivity import Sensitivity, sensitivity
 
 __version__ = "0.2.0"
 
-SEARCH_SLACK = 1e-10
-MERGING = 30
+SEARCH_SLACK, MERGING = 1e-10, 30
 PERTURBATIONS = 50  #: trials of `local_search.perturbed`, where two passes did not prove
 WIDTHS = [64 * 8**k for k in range(8)]  #: labels that the passes of `dynamic_program` keep a step
 
