@@ -886,8 +886,8 @@ def receding_horizon(
     """Plan anew at each of `steps` steps, run the first model of each plan; yield plan after plan.
 
     outlook(t) is the problem from step t on, as it looks then: a window, or all that is left, with
-    the `pull` of a known error of the state (`prior_pull`); here it gets the model that ran before
-    as `initial_model`, and what is left of a `budget`.  Each plan has a certificate of its own.
+    the `pull` of a known error of the state (`prior_pull`); it gets the model that ran before as
+    `initial_model`, what is left of a `budget`, `time_limit` seconds, and a certificate of its own.
     """
     spent, known = 0.0, dict[str, Any]()
     budget = None if budget is None else check_number("budget", budget)
