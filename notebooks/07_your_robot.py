@@ -800,7 +800,7 @@ assert all(plan.is_optimal for plan in plans)
 # | the rest of the state is exact | compare with a reference | measure it: `measurement` |
 # | residuals from conditions of use | record on another day and floor | refit, guard |
 # | enough residuals | resample drives; standard errors | `guard_suite`, fewer bins |
-# | independent across steps | correlation of neighbours | `correlated_cost`, candidates |
+# | independent across steps | correlation of neighbours | `correlated_problem` |
 # | errors do not depend on the state | fly pictures instead of tables | finer tables |
 # | models answer in time | worst-case latency, not the mean | `inf`, or delay in the state |
 #
