@@ -25,6 +25,8 @@ triangle          what a schedule costs beyond its bound, as a sum over steps
 label_search      the exact search, on bare arrays
 segments          long horizons: parts of them, each a problem of its own
 blends            paper V: Problem 4
+suites            how models err, step by step; dropouts, latency
+residuals         measured errors: read, fitted, guarded, drawn from
 camera            pictures of a helipad
 networks          small networks and how they learn
 figures           every picture, from arrays

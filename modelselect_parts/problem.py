@@ -9,7 +9,7 @@ import math
 from dataclasses import KW_ONLY, dataclass
 from fractions import Fraction
 from functools import cached_property
-from typing import Any
+from typing import Any, Protocol, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -48,6 +48,25 @@ def from_one_hot(weights: npt.ArrayLike) -> Choices:
     if not ((b == 0) | (b == 1)).all() or (b.sum(axis=1) != 1).any():
         raise ValueError("weights: expected a single 1 and otherwise 0 in every row")
     return np.asarray(b.argmax(axis=1))
+
+
+class Suite(Protocol):
+    """What `SelectionProblem.from_suite` takes: a `PerceptionSuite`, or alike."""
+
+    @property
+    def mean(self) -> Array:
+        """(H, W, p)."""
+        ...
+
+    @property
+    def variance(self) -> Array:
+        """(H, W, p) or (H, W, p, p)."""
+        ...
+
+    @property
+    def cost(self) -> Array:
+        """(W,) or (H, W)."""
+        ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,6 +172,14 @@ class SelectionProblem(Stored):
             raise ValueError(
                 "psi: the costs overflow; rescale psi, mean, variance, the prices, alpha or beta"
             )
+
+    @classmethod
+    def from_suite(cls, psi: Array | Sensitivity, suite: Suite, **given: Any) -> Self:
+        """Pose the problem of a suite's means, variances and, unless `given`, costs.
+
+        Everything else that a problem takes may be given by name: alpha, budget, switch_cost.
+        """
+        return cls(psi, suite.mean, suite.variance, given.pop("model_cost", suite.cost), **given)
 
     def _check_beyond_the_paper(self, H: int, W: int, p: int) -> None:
         """Check what moves cost, the model in memory, the pull and that the budget can be kept."""

@@ -244,6 +244,7 @@ TOOLS = {
 #: Parts that users reach through another module than modelselect.
 HOMES = {
     **{"camera": "perception", "networks": "perception"},
+    **{"suites": "perception", "residuals": "perception"},
     **{"flights": "landing", "rivals": "landing"},
 }
 

@@ -777,10 +777,54 @@ ROWS: dict[str, tuple[Callable[..., Any], dict[str, Arg]]] = {
         {
             "names": names(["a", "b", "c"], blames="model"),
             "model": index([0, 2, 1, 1]),
-            "altitude": real([1, 2, 3, 4]),
-            "residual": real([0, 1, -1, 2], blames="altitude"),
+            "altitude": real([1, 2, 3, 4], "rank-more"),
+            "residual": real([0, 1, -1, 2], "rank-more", blames="altitude"),
+            "variables": names(["range"], "twice", blames="altitude"),
+            "components": names(["residual_x"], "none twice"),
         },
     ),
+    "Residuals/tables": (
+        lambda **given: perception.Residuals(["a"], [0, 0], **given),
+        {
+            "altitude": real([[1, 2], [3, 4]]),
+            "residual": real([[0, 1], [2, 3]], blames="altitude components"),
+            "variables": names(["range", "bearing"], blames="altitude"),
+            "components": names(["residual_x", "residual_y"], "none"),
+        },
+    ),
+    "Kernel": (
+        perception.Kernel,
+        {
+            "width": number(0.25),
+            "log": names(["range"], "empty twice fewer"),
+            "relative": word("range", "unknown none case"),
+        },
+    ),
+    "with_dropouts": (
+        perception.with_dropouts,
+        {
+            "suite": SUITE,
+            "probability": weight([0, 0.5, 0.25], "rank-0 rank-less"),
+            "fallback": word("b", "number"),
+        },
+    ),
+    "with_dropouts/prior": (
+        lambda mean, variance: perception.with_dropouts(suite(), 0.5, (mean, variance)),
+        {
+            "mean": real([0.0] * P, blames="fallback.mean"),
+            "variance": weight([1.0] * P, blames="fallback.variance"),
+        },
+    ),
+    "with_latency": (
+        perception.with_latency,
+        {
+            "suite": SUITE,
+            "delay": weight([0, 1, 2], "rank-0 rank-less"),
+            "variance": weight([1.0] * P),
+            "drift": real([0.5] * P, "none"),
+        },
+    ),
+    "measured_latency": (perception.measured_latency, {"table": word("resnet-jetson-nano")}),
     "read_residuals": (
         perception.read_residuals,
         {
@@ -799,6 +843,7 @@ ROWS: dict[str, tuple[Callable[..., Any], dict[str, Arg]]] = {
             "trajectory": real([8, 6, 3, 1], "length"),
             "cost": real(PRICE, "inf"),
             "bins": count(2),
+            "kernel": record(lambda: None, "none"),
         },
     ),
     "fit_suite/edges": (
@@ -813,6 +858,7 @@ ROWS: dict[str, tuple[Callable[..., Any], dict[str, Arg]]] = {
             "trials": count(2),
             "rng": RNG,
             "bins": count(2),
+            "kernel": record(lambda: None, "none"),
         },
     ),
     "guard_suite": (
@@ -1192,7 +1238,7 @@ def by(error, *places):
 
 
 #: The axes that messages name: those of the symbol table, and what else docstrings explain.
-AXES = {"H", "W", "p", "n", "m", "pH", "N", "side", "trials", "edges", "or"}
+AXES = {"H", "W", "p", "n", "m", "pH", "N", "V", "side", "trials", "edges", "or"}
 
 
 def check_line(error, opening):

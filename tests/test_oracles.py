@@ -61,6 +61,11 @@ tests/test_sound.py
 SelectionProblem.defect | test_what_a_matrix_lacks_of_being_semidefinite_is_found_or_bounded | elimination in fractions
 tests/test_long_horizon.py
 sensitivity Sensitivity.diagonal Sensitivity.blocks Sensitivity.coupled Sensitivity.order | test_a_system_is_its_matrix | the dense matrix
+tests/test_besides.py
+with_dropouts | test_dropouts_have_the_moments_of_errors_that_are_dropped_by_hand | errors dropped by hand
+with_latency | test_an_estimate_that_is_late_errs_by_what_the_input_walked | a simulated random walk
+measured_latency | test_measured_latencies_are_prices_that_grow_faster_than_the_models_number | the published tables
+Kernel | test_a_kernel_is_a_plain_weighted_mean | a plain loop over residuals
 tests/test_on_board.py
 receding_horizon | test_who_learns_nothing_new_does_not_change_the_plan_for_a_dearer_one | the best of all schedules
 tests/test_constrained.py
