@@ -281,9 +281,8 @@ class SelectionProblem(Stored):
     @cached_property
     def form(self) -> trellis.Form:
         """The bare arrays that the engines work on."""
-        M: Array | Sensitivity = self.quadratic
-        if isinstance(self.psi, Sensitivity):
-            M = self.alpha * self.psi
+        long = isinstance(self.psi, Sensitivity)
+        M = self.alpha * self.psi if long else self.quadratic
         form = trellis.Form(M, self.mean, self.linear, self.linear_size, defect=self.defect)
         switch, limited = self.switch_cost, self.budget is not None
         if switch is not None and switch.any() and (self.beta > 0 or limited):

@@ -287,6 +287,7 @@ def test_a_long_landing_is_proved_without_a_matrix_and_costs_what_a_matrix_says(
     found = ms.solve(problem)
     assert found.is_optimal
     ms.check_certificate(problem, found)
+    assert "quadratic" not in vars(problem)  # nobody wrote the matrix out
     dense = SelectionProblem(psi(task, "preview"), *given)
     assert dense.total_cost(found.choices) == pytest.approx(found.cost, rel=1e-11)
     assert ms.reference_bound(dense, found.reference)[0] == pytest.approx(
