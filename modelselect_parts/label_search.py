@@ -195,6 +195,15 @@ class Ahead(NamedTuple):
         return np.asarray(np.minimum(whole, near + math.sqrt(self.far[t]) * whole))
 
 
+class Labels(NamedTuple):
+    """Partial schedules, from one step to the last, side by side."""
+
+    extra: Array  #: (labels,), their excess so far
+    spent: Array  #: (labels,), of the limit; 0 where there is none
+    y: Array  #: (labels, r), their offsets in coordinates
+    state: Choices  #: (labels,), the model of their first step; 0 where moves are free
+
+
 class Pass(NamedTuple):
     """What one pass found and proved: see `search`."""
 
@@ -221,47 +230,66 @@ def search(
     known then, to which callers limit the claim.  A later pass may reuse the basis: its excess is
     smaller, so no model that it needs was ruled out, and `losses` is given the same `least`.
     """
-    moves, deviation = triangle.moves, triangle.deviation
-    (H, states, _), limited = moves.shape, purse.spend is not None
-    extra, y, dropped = np.zeros(1), np.zeros((1, steps[-1].read.shape[1])), math.inf
-    state, spent = np.zeros(1, dtype=np.intp), np.zeros(1)
+    moved, limited = triangle.moves.shape[1] > 1, purse.spend is not None
+    H, dropped = len(steps), math.inf
     ahead = ahead or Ahead(np.zeros(H), H, np.zeros(H))
+    nothing, offset = np.zeros(1), np.zeros((1, steps[-1].read.shape[1]))
+    labels = Labels(nothing, nothing, offset, np.zeros(1, dtype=np.intp))
     trail: list[tuple[Choices, Choices]] = []
     for t, step in reversed(list(enumerate(steps))):
-        models = np.flatnonzero(moves[t].min(axis=0) <= given.budget)
-        own = deviation[t, models] @ step.own.T
-        felt = ((y @ step.read.T)[:, None] + own) ** 2
-        move = moves[t][:, models][state] if states > 1 else moves[t, 0, models]
-        grown = extra[:, None] + move + felt.sum(axis=-1)
-        within = grown + ahead.least[t] <= given.budget
-        if purse.spend is not None and purse.ahead is not None:
-            spend = purse.spend[t, :, models].T
-            total = spent[:, None] + (spend[state] if len(spend) > 1 else spend)
-            within &= total + purse.ahead[t, models] <= purse.limit + given.grains
-        parent, child = np.nonzero(within)
-        order = np.argsort(grown[parent, child])
-        parent, child = parent[order], child[order]
-        extra = grown[parent, child]
-        y = (y @ step.carry.T).take(parent, axis=0)
-        y += (deviation[t, models] @ step.push.T).take(child, axis=0)
-        state = models[child] if states > 1 else np.zeros(len(child), dtype=np.intp)
-        spent = total[parent, child] if limited else np.zeros(len(child))
-        who = (state if states > 1 else None, spent if limited else None, purse.multiplier)
-        room = ahead.room(t, given.budget - extra)
-        kept = np.flatnonzero(undominated(extra, y, room, given.merge, expired, *who))
+        labels, parent, model = _extended(triangle, step, t, purse, given, ahead.least[t], labels)
+        room = ahead.room(t, given.budget - labels.extra)
+        who = labels.state if moved else None, labels.spent if limited else None, purse.multiplier
+        kept = np.flatnonzero(undominated(labels.extra, labels.y, room, given.merge, expired, *who))
         most = min(width, 64) if expired() else width  # out of time: finish on a narrow beam
         if len(kept) > most:
-            dropped = min(dropped, float(extra[kept[most]] + ahead.least[t]))
+            dropped = min(dropped, float(labels.extra[kept[most]] + ahead.least[t]))
         kept = kept[:most]
-        extra, y, state, spent = extra[kept], y.take(kept, axis=0), state[kept], spent[kept]
-        trail.append((parent[kept], models[child[kept]]))
-    labels = np.array([len(models) for _, models in reversed(trail)], dtype=np.intp)
+        extra, spent, y, state = labels
+        labels = Labels(extra[kept], spent[kept], y.take(kept, axis=0), state[kept])
+        trail.append((parent[kept], model[kept]))
+    extra, spent = labels.extra, labels.spent
     if limited:  # what is left of the limit is paid for
         extra = extra + purse.multiplier * np.maximum(purse.limit - spent, 0)
     least = min(given.budget, dropped, float(extra.min(initial=math.inf)))
     least += triangle.constant - given.total
     legal = np.where(spent <= purse.limit, extra, math.inf)  # a grain over it proves, and is none
-    return Pass(_traced(trail, legal), least, dropped == math.inf, labels)
+    counts = np.array([len(models) for _, models in reversed(trail)], dtype=np.intp)
+    return Pass(_traced(trail, legal), least, dropped == math.inf, counts)
+
+
+def _extended(
+    triangle: Triangle,
+    step: Coordinates,
+    t: int,
+    purse: Purse,
+    given: Losses,
+    before: float,
+    labels: Labels,
+) -> tuple[Labels, Choices, Choices]:
+    """Put a model of step t in front of every label, where budget and limit allow it.
+
+    Return the new labels, cheapest first, with the label that each extends and its model.
+    """
+    moves, free = triangle.moves[t], triangle.moves.shape[1] == 1
+    models = np.flatnonzero(moves.min(axis=0) <= given.budget)
+    deviation = triangle.deviation[t, models]
+    felt = ((labels.y @ step.read.T)[:, None] + deviation @ step.own.T) ** 2
+    move = moves[0, models] if free else moves[:, models][labels.state]
+    grown = labels.extra[:, None] + move + felt.sum(axis=-1)
+    within, total = grown + before <= given.budget, labels.spent[:, None] + np.zeros(len(models))
+    if purse.spend is not None and purse.ahead is not None:
+        spend = purse.spend[t, :, models].T
+        total = labels.spent[:, None] + (spend[labels.state] if len(spend) > 1 else spend)
+        within &= total + purse.ahead[t, models] <= purse.limit + given.grains
+    parent, child = np.nonzero(within)
+    order = np.argsort(grown[parent, child])
+    parent, child = parent[order], child[order]
+    y = (labels.y @ step.carry.T).take(parent, axis=0)
+    y += (deviation @ step.push.T).take(child, axis=0)
+    state = np.zeros(len(child), dtype=np.intp) if free else models[child]
+    found = Labels(grown[parent, child], total[parent, child], y, state)
+    return found, parent, models[child]
 
 
 def _traced(trail: list[tuple[Choices, Choices]], extra: Array) -> Choices | None:

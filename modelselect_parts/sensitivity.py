@@ -35,7 +35,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from modelselect_parts.checks import Array, check_array, frozen
+from modelselect_parts.checks import Array, check_array, check_number, frozen
 from modelselect_parts.regulator import (
     PATTERNS,
     PSI_TOLERANCE,
@@ -83,7 +83,7 @@ class Sensitivity(Stored):
         return product(self, check_array("errors", errors, "pH", (len(self),)))[0]
 
     def __rmul__(self, weight: float) -> Sensitivity:
-        root = math.sqrt(weight)
+        root = math.sqrt(check_number("weight", weight, minimum=0))
         return replace(self, own=root * self.own, push=root * self.push)
 
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> Array:

@@ -291,6 +291,47 @@ def test_a_rover_with_tags_pays_what_was_predicted():
     assert abs(flown.mean() - alone.control_term(schedule.choices)) > 3 * half
 
 
+def an_arm(H=60, dt=0.05):
+    """Two joints of 1 kg m^2 and 0.3 kg m^2 that carry loads; s is the load at the hand, in N m."""
+    inertia = np.array([[1.3, 0.3], [0.3, 0.3]])
+    A = np.block([[np.zeros((2, 2)), np.eye(2)], [np.zeros((2, 2)), -0.2 * np.eye(2)]])
+    B = np.vstack([np.zeros((2, 2)), np.linalg.inv(inertia)])
+    A, both, *_ = cont2discrete((A, np.hstack([B, B[:, 1:]]), np.eye(4), np.zeros((4, 3))), dt)
+    return ControlTask(A, both[:, :2], both[:, 2:], np.diag([20, 20, 1, 1]), 0.05 * np.eye(2), H)
+
+
+def test_an_arm_with_a_forecast_of_its_load_pays_what_was_predicted():
+    """It swings along a reference under gravity, while a camera weighs what comes on the belt."""
+    task, rng, N = an_arm(), np.random.default_rng(3), 1500
+    H = task.horizon
+    swing = np.sin(np.linspace(0, np.pi, H + 1))
+    reference = np.stack([swing, 0.5 * swing, 0 * swing, 0 * swing], axis=1)
+    gravity = np.tile(-0.1 * task.B[:, 0], (H, 1))
+    loads = 0.5 + 0.2 * rng.standard_normal((H, 1))
+    suite = perception.gaussian_suite(
+        lambda w, t: 0.3 * (-0.6) ** w + 0 * t, lambda w, t: 0.3 * 0.6**w + 0 * t, [0, 0.02, 0.03],
+        at=np.arange(H),
+    )  # fmt: skip
+    load = 0.002 * (1 - np.eye(3))
+    problem = SelectionProblem.from_suite(psi(task, "preview"), suite, switch_cost=load)
+    schedule = ms.solve(problem)
+    assert schedule.is_optimal and len(set(schedule.choices)) > 1
+    e = sample_errors(suite, N, rng)[:, np.arange(H), schedule.choices]
+    known = {"reference": reference, "disturbance": gravity}
+    flown = []
+    for perceived in (loads + e, np.broadcast_to(loads, e.shape)):
+        s = np.broadcast_to(loads, e.shape)
+        states, controls = ms.run_controller(task, np.zeros(4), s, perceived, "preview", **known)
+        flown.append(ms.control_cost(task, states - reference, controls))
+    regret = flown[0] - flown[1]
+    half = 2.6 * regret.std() / np.sqrt(N)
+    predicted = float(problem.control_term(schedule.choices))
+    assert half < 0.05 * predicted
+    assert abs(regret.mean() - predicted) <= half
+    alone = ms.stepwise_cost(problem)[np.arange(H), schedule.choices].sum()  # no coupling
+    assert abs(regret.mean() + problem.perception_term(schedule.choices) - alone) > 3 * half
+
+
 def test_a_problem_of_a_suite_takes_all_that_a_problem_takes():
     suite = a_suite()
     problem = SelectionProblem.from_suite(np.eye(6), suite, alpha=2.0, budget=9.0, initial_model=1)
