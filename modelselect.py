@@ -633,7 +633,7 @@ def _searched(
         excess = max(0.0, cost - root - triangle.constant)
         if not steps:
             break
-        if passes == segments.passes_before(form) and not complete:
+        if passes == segments.passes_before_bounds(form) and not complete:
             known = best[::turn]
             ahead = segments.bounds_ahead(triangle, steps, known, excess, slack, expired)
         lost = label_search.losses(triangle, steps, purse, excess, slack, least)

@@ -44,7 +44,8 @@ def semidefinite_defect(A: Array) -> float:
 
     tau = 0 is proved by Cholesky's method with a reserve for its own rounding (Demmel 1989; Rump
     2006), or, of a singular A of up to EXACT_ROWS rows, by elimination in integers (Bareiss 1968).
-    Otherwise tau is what rounding may hide of an eigenvalue that `check_semidefinite` let pass.
+    Otherwise tau = 8 k eps is an estimate, no theorem: of a singular A, what rounding may hide of
+    an eigenvalue that `check_semidefinite` let pass.
     """
     A = A[np.ix_(A.any(axis=1), A.any(axis=1))]
     k, root = len(A), np.sqrt(np.maximum(A.diagonal(), TINY))

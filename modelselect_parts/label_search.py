@@ -24,7 +24,7 @@ import numpy.typing as npt
 from modelselect_parts.checks import Array, Choices, Mask
 from modelselect_parts.triangle import EPS, Coordinates, Purse, Triangle
 
-# Cells of `undominated`: the root of the budget, halved so often; the last merges equal offsets.
+# Sides of cells of `undominated`: the largest room, halved so often; the last: all but equal.
 GRIDS = (0, 1, 2, 3, 4, 5, 6, 7, 24)
 
 
@@ -100,8 +100,9 @@ def undominated(
     """Mark the labels, sorted by extra cost, that no cheaper label nearby makes superfluous.
 
     Let i, j be labels at distance rho = |y_i - y_j|.  A completion costs them |v + y_i|^2 and
-    |v + y_j|^2 plus the same moves, and |v + y_j| <= room_j for a completion of j within the
-    budget.  Since |v + y_i| <= |v + y_j| + rho, i is never worse if
+    |v + y_j|^2 plus the same moves, and (y_i - y_j)'(v + y_j) <= rho room_j for every completion of
+    j within the budget (see `Ahead.room`).  So |v + y_i|^2 <= |v + y_j|^2 + 2 rho room_j + rho^2,
+    and i is never worse if
 
         extra_i + 2 rho room_j + rho^2 <= extra_j    (or exceeds it by `merge`).
 
@@ -185,10 +186,10 @@ class Ahead(NamedTuple):
     far: Array  #: (H,), the share of rho^2 that those which are not near feel at most
 
     def room(self, t: int, left: Array) -> Array:
-        """Bound |v + y| by what is `left` of the budget, (labels,), in the proof of `undominated`.
+        """Return the room of labels, (labels,), of what is `left` of the budget (`undominated`).
 
-        Near steps have what is left less what far ones need.  Far ones might have all of it, but
-        feel little: 2 rho_near |v + y|_near + 2 rho_far |v + y|_far <= 2 rho room.
+        |v + y|^2 is at most `left`, of near steps at most what far ones need less.  With rho_far <=
+        sqrt(far) rho, (y_i - y_j)'(v + y_j) <= rho (|v + y_j|_near + sqrt(far) |v + y_j|_far).
         """
         whole = np.sqrt(np.maximum(left, 0))
         near = np.sqrt(np.maximum(left - self.least[max(t - self.look, 0)], 0))

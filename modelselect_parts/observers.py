@@ -1,10 +1,10 @@
 r"""Gains of an observer: how far a controller should believe what it measures.
 
-The models measure y = C^+ x; call H = C^+ (p, n).  An observer corrects what it expects, x_hat^-,
-by x_hat = x_hat^- + Gamma (y_hat - H x_hat^-).  The gains that leave the least variance if the
+The models measure y = C^+ x; call Z = C^+ (p, n).  An observer corrects what it expects, x_hat^-,
+by x_hat = x_hat^- + Gamma (y_hat - Z x_hat^-).  The gains that leave the least variance if the
 process is pushed by white noise of covariance W, and y_hat errs by white noise of covariance V, are
 
-    Gamma_t = P_t^- H' (H P_t^- H' + V)^{-1},    P_{t+1}^- = A (I - Gamma_t H) P_t^- A' + W,
+    Gamma_t = P_t^- Z' (Z P_t^- Z' + V)^{-1},    P_{t+1}^- = A (I - Gamma_t Z) P_t^- A' + W,
 
 P^- being the covariance of x - x_hat^-.
 
@@ -51,7 +51,10 @@ def kalman_gains(
 
 
 def _steady(A: Array, sees: Array, W: Array, V: Array) -> Array:
-    """P^- that the recursion comes to: the controller's Riccati equation, all transposed."""
+    """P^- of the steady state, which the recursion reaches from any definite P_0^-.
+
+    The stabilising solution of the controller's Riccati equation, all transposed.
+    """
     try:
         with np.errstate(over="ignore", invalid="ignore"):
             P = np.asarray(la.solve_discrete_are(A.T, sees.T, W, V))
@@ -66,7 +69,7 @@ def _steady(A: Array, sees: Array, W: Array, V: Array) -> Array:
 
 
 def _gain(P: Array, sees: Array, V: Array) -> Array:
-    """P H'(H P H' + V)^{-1} of covariance P (n, n) and H = `sees` (p, n)."""
+    """P Z'(Z P Z' + V)^{-1} of covariance P (n, n) and Z = `sees` (p, n)."""
     return np.asarray(np.linalg.solve(sees @ P @ sees.T + V, sees @ P).T)
 
 

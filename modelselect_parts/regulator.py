@@ -37,7 +37,7 @@ from modelselect_parts.checks import Array, as_numbers, check_array, check_name
 from modelselect_parts.task import ControlTask, Riccati, control_cost, riccati  # noqa: F401
 
 PSI_TOLERANCE = 3e-10  # of sqrt(Psi_ii Psi_jj), between two ways of rounding; 1e-9 is promised
-FEWEST = 5  # numbers s that may be told from what the models measure
+FEWEST = 5  # fewer numbers s that repeat what the models measure may do so by chance
 
 # ---------------------------------------------------------------------- what a controller knows
 
@@ -473,7 +473,7 @@ def _warn_of_states(task: ControlTask, s: Array, states: Array) -> None:
 def plan(task: ControlTask, x0: npt.ArrayLike, s: npt.ArrayLike) -> Array:
     """Plan all controls (..., H, m) at t = 0 from `x0` (n,) and a forecast `s` (..., H, p).
 
-    While a forecast is right, planning once and
-    feeding back the state give the same controls, so we run the feedback law on the forecast.
+    While a forecast is right, planning once and feeding back the state give the same controls, so
+    we run the feedback law on the forecast.
     """
     return run_controller(task, x0, s, s, "preview")[1]

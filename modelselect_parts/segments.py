@@ -3,7 +3,9 @@ r"""What lies far away hardly matters: parts of a horizon, each solved as a prob
 *Segments.*  Let e_S be the least that the steps of a segment S add to an excess, whatever offset
 comes in from later ones.  Segments share no row of U, so what they add at least adds up, and a
 label at step t may go when its excess and R_t, the sum over segments before t, exceed the budget.
-This budget is local: it does not grow with the horizon, and neither do labels.
+What is then left of the budget at a step grows far more slowly than the budget, and labels with
+it.  (A segment's own search must not use bounds of shorter ones: its rows are mixed anew, and where
+they outnumber the errors, what a label has added so far no longer adds to what is to come.)
 
 *Windows.*  Any reference point d certifies a bound; that of a long horizon is put together from
 the middles of windows that overlap.
@@ -47,8 +49,11 @@ def is_long(mean: Array) -> bool:
     return len(mean) > 2 * SEGMENTS[-1]
 
 
-def passes_before(form: Form) -> int:
-    """Return after how many passes of the search bounds ahead are worth their time, as measured."""
+def passes_before_bounds(form: Form) -> int:
+    """Return after how many passes of the search bounds ahead are worth their time.
+
+    Tried at H = 300 to 1000: earlier they cost a matrix more than they save, up to twice the time.
+    """
     if isinstance(form.M, Sensitivity):
         return 1
     return 2 if is_long(form.mean) else 3
@@ -91,7 +96,7 @@ def prepared(
 def _of_system(
     form: Form, system: Sensitivity, found: Certificate, d: Array, excess: float
 ) -> tuple[Triangle, float, list[Coordinates]]:
-    """Do so for a system, its last step being that with which it begins."""
+    """Write the excess of a system as a sum over steps; the last is that with which it begins."""
     useful = found.reduced + (found.bound - found.base) <= max(excess, 0.0)
     moves = np.where(useful & (found.node < np.inf), found.node, np.inf)
     deviation = np.where(useful[..., None], form.mean - d.reshape(len(moves), 1, -1), 0)
@@ -116,6 +121,8 @@ def _reaches(system: Sensitivity, size: Array) -> Array:
         for t in system.order():
             push, total = system.push[t] * size[t], p + f * total
             S = system.carry[t] @ S @ system.carry[t].T / f + push @ push.T
+            if not np.trace(S) < 1e300:
+                break  # what does not forget so fast grows without end; f = 1 has bounded it
             best[t] = min(best[t], math.sqrt(total * np.linalg.norm(S, 2)))
     return best
 
@@ -133,9 +140,9 @@ def bounds_ahead(
 ) -> Ahead:
     """Bound what the steps before each one add to an excess, whatever comes from later ones.
 
-    Of a long horizon by segments side by side, long ones with the help of short ones.  Else by
-    Russian dolls (Verfaillie, Lemaitre and Schiex 1996): the first sixth of the steps, with that
-    the first third, with both the first half, and so on.  Spending is free.
+    Of a long horizon by segments side by side, long ones, and short ones within them.  Else by
+    Russian dolls (Verfaillie, Lemaitre and Schiex 1996): the first sixth of the steps, the first
+    third, the first half, and so on.  The limit on spending is left out, which only lowers them.
     """
     H = len(steps)
     R, stride = np.zeros(H + 1), -(-H // 6)
@@ -146,9 +153,7 @@ def bounds_ahead(
         if expired():
             break
         part = segment(triangle, steps, a, b, excess)
-        inside = Ahead(R[a:b] - R[a], b - a, np.zeros(b - a))
-        share = slack * (b - a) / H
-        least = _least_of(part, known[a:b], inside, excess, share, expired)
+        least = _least_of(part, known[a:b], excess, slack * (b - a) / H, expired)
         R[b:] += max(0.0, least - (R[b] - R[a]))
     return Ahead(R[:-1], *forgetting(steps))
 
@@ -156,7 +161,6 @@ def bounds_ahead(
 def _least_of(
     part: Triangle,
     known: Choices,
-    inside: Ahead,
     excess: float,
     slack: float,
     expired: Callable[[], bool],
@@ -167,7 +171,7 @@ def _least_of(
     steps = compress(part, weak, expired)
     for width in WIDTHS if steps else ():
         given = losses(part, steps, FREE, excess, slack, weak)
-        found = search(part, steps, FREE, given, width, expired, inside)
+        found = search(part, steps, FREE, given, width, expired)
         least = max(least, found.least)
         if found.complete or found.choices is None:
             break
@@ -178,8 +182,8 @@ def _least_of(
 def forgetting(steps: list[Coordinates]) -> tuple[int, Array]:
     """Return L and the share (H,) of rho^2 that steps more than L before each one feel at most.
 
-    L = 2k steps in a row hold k of them that begin at a multiple of k.  The norm of what these
-    carry on bounds the share, as no step makes an offset longer.
+    Any L = 2k steps in a row contain a whole block, ik to (i + 1)k - 1.  As no step makes an offset
+    longer, the squared norm of that block's product of carries bounds the share.
     """
     H, k = len(steps), LAP // 4
     while True:

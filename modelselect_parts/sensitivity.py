@@ -6,14 +6,14 @@ the outputs v of a system that errors drive,
 
     v_t = read_t eta_t + own_t e_t,    eta_next = carry_t eta_t + push_t e_t,    e'Psi e = |v|^2,
 
-with as many states eta as the task has.  It runs from the last step to the first under foresight,
-the other way with memory; open_loop needs both and is no such system.  A product with Psi takes
-two sweeps, O(H n^2), forth and back:
+with as many states eta as the task has (twice as many where late pictures are used). It runs from
+the last step to the first under foresight, the other way with memory; open_loop needs both and is
+no such system. A product with Psi takes two sweeps, O(H n^2), forth and back:
 
-    (Psi e)_t = own_t'v_t + push_t'z,    z_next = read_t'v_t + carry_t'z_t.
+    (Psi e)_t = own_t'v_t + push_t'z_t,    z_next = read_t'v_t + carry_t'z_t.
 
 States can be chosen freely.  We choose those in which |eta|^2 is what eta adds to all outputs yet
-to come if no more errors do: then [read; carry] has orthonormal columns, and neither states nor
+to come if no more errors come: then [read; carry] has orthonormal columns, and neither states nor
 rounding can grow on the way.
 
 >>> task = ControlTask(A=[[1]], B=[[1]], C=[[1]], Q=[[1]], R=[[1]], horizon=2)
@@ -138,8 +138,9 @@ def outputs(
 def product(system: Sensitivity, e: Array) -> tuple[Array, Array]:
     """Return Psi e (pH,), and how far each entry may be off.
 
-    Every step adds to v, eta and z a rounding of k `WIDE_EPS` of what it sums; as no step
-    lengthens what it is given, these roundings add up at most.
+    Entry i is c'v, c column i of Y and |c| = sqrt(Psi_ii), so an error of length x in v moves it by
+    |c| x at most.  Each step adds to (v, eta), then to z, at most `_unit` of the lengths that it
+    sums, and no later step lengthens these.  The factor 2 covers what is of second order.
     """
     own, read, carry, push = system._wide
     H, _, p = own.shape
@@ -157,7 +158,10 @@ def product(system: Sensitivity, e: Array) -> tuple[Array, Array]:
 
 
 def squares(system: Sensitivity, errors: Array) -> tuple[Array, Array]:
-    """Return e'Psi e of `errors` (N, pH), and how far it may be off, (N,)."""
+    """Return e'Psi e of `errors` (N, pH), and how far it may be off, (N,).
+
+    (|v| + off)^2 - |v|^2 = 2 |v| off + off^2.
+    """
     H, _, p = system.own.shape
     e = errors.reshape(-1, H, p)
     v, states = outputs(system, np.moveaxis(e, 0, -1).astype(Wide))

@@ -206,20 +206,20 @@ def _rotation(stack: Array) -> tuple[Array, Array]:
     return rotation, root
 
 
-def _part(Q: Array, R: Array, N: Array) -> tuple[Array, Array, Array]:
+def _without_cross(Q: Array, R: Array, N: Array) -> tuple[Array, Array, Array]:
     """Lower R^{1/2} (H, m, m), R^{-1/2}N' (H, m, n) and the rest Q - N R^{-1}N' (H, n, n).
 
     x'Qx + 2x'Nu + u'Ru = |R^{1/2}'u + R^{-1/2}N'x|^2 + x'(Q - N R^{-1}N')x.
     """
     R_root = np.asarray(np.linalg.cholesky(R), dtype=float)
-    lean = np.asarray(np.linalg.solve(R_root, np.swapaxes(N, -1, -2)), dtype=float)
-    return R_root, lean, Q - np.swapaxes(lean, -1, -2) @ lean
+    cross_root = np.asarray(np.linalg.solve(R_root, np.swapaxes(N, -1, -2)), dtype=float)
+    return R_root, cross_root, Q - np.swapaxes(cross_root, -1, -2) @ cross_root
 
 
 def _square_root_recursion(task: ControlTask) -> list[_Roots]:
     """Run S_t = R + B'P_{t+1}B and P_t = Q + A'P_{t+1}A - K_t'S_t K_t on roots, backwards.
 
-    With the costs of `_part`, a rotation O that clears the first of two columns,
+    With the costs of `_without_cross`, a rotation O that clears the first of two columns,
 
         O' [ R^{1/2}'   R^{-1/2}N' ]   =   [ G'   G^{-1}(N' + B'P_{t+1}A) ]
            [ F'B        F'A        ]       [ 0    b                       ],
@@ -232,7 +232,7 @@ def _square_root_recursion(task: ControlTask) -> list[_Roots]:
     """
     A, B, _, Q, R = task.over_time()
     H, m = task.horizon, task.m
-    R_root, lean, Q_rest = _part(Q[:-1], R, task._cross)
+    R_root, cross_root, Q_rest = _without_cross(Q[:-1], R, task._cross)
     Q_root, F = semidefinite_root(Q_rest), semidefinite_root(Q[H])
     steps: list[_Roots] = [None] * H  # type: ignore[list-item]
     with np.errstate(over="ignore", invalid="ignore"):
@@ -250,7 +250,7 @@ def _square_root_recursion(task: ControlTask) -> list[_Roots]:
                     f"task: R is lost in rounding beside B'PB at step {t} of {H}, so that controls "
                     "of equal effect cannot be told apart; raise R, or merge those controls"
                 )
-            cross, left = rotation[:m, :m].T @ lean[t], rotation[:m, m:].T @ lean[t]
+            cross, left = rotation[:m, :m].T @ cross_root[t], rotation[:m, m:].T @ cross_root[t]
             push, rest = rotation[m:, :m].T, rotation[m:, m:].T
             folding, next_root = _rotation(np.vstack([Q_root[t].T, rest @ states + left]))
             fold = folding[task.n :, : task.n].T
@@ -281,7 +281,7 @@ def riccati(task: ControlTask) -> Riccati:
     transposed = np.swapaxes(F, -1, -2)
     with np.errstate(over="ignore", invalid="ignore"):
         b = rest[0] @ transposed[0] @ A[0] + left[0]
-        first = _part(Q[:1], R[:1], task._cross[:1])[2] + b.T @ b
+        first = _without_cross(Q[:1], R[:1], task._cross[:1])[2] + b.T @ b
         P = np.concatenate([first, (F @ transposed)[:-1], Q[-1:]])
         S = G @ np.swapaxes(G, -1, -2)
         K = np.linalg.solve(np.swapaxes(G, -1, -2), push @ transposed @ A + cross)

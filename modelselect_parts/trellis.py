@@ -199,7 +199,7 @@ def certificate(form: Form, d: Array, multiplier: float = 0.0) -> Certificate:
 
 
 def lacking(form: Form, d: Array) -> Array:
-    """Return what the diagonal of M has to lend at most, defect sum_i M_ii e_i^2, (H, W)."""
+    """Return what the diagonal lends to M, defect sum_i M_ii e_i^2 at e = mu - d, (H, W)."""
     H, _, p = form.mean.shape
     root = np.sqrt(form.defect * np.abs(form.M.diagonal())).reshape(H, 1, p)
     return np.asarray(((root * (form.mean - d.reshape(H, 1, p))) ** 2).sum(axis=-1))

@@ -235,6 +235,53 @@ def test_no_bound_of_segments_exceeds_what_a_schedule_adds(seed, as_system, leng
                 assert all(Fraction(bound) <= x for bound, x in zip(R[1:], added, strict=False))
 
 
+def least_of_segment(parts, steps, a, b):
+    """The least that steps a to b - 1 add, over all choices and offsets: by least squares."""
+    W, best = parts.moves.shape[2], np.inf
+    for c in itertools.product(range(W), repeat=b - a):
+        y, free, rows, effect = 0, np.eye(steps[b - 1].read.shape[1]), [], []
+        for t, w in zip(reversed(range(a, b)), reversed(c), strict=True):
+            e = parts.deviation[t, w]
+            rows.append(steps[t].read @ (0 * free[0] + y) + steps[t].own @ e)
+            effect.append(steps[t].read @ free)
+            y, free = steps[t].carry @ (0 * free[0] + y) + steps[t].push @ e, steps[t].carry @ free
+        rows, G = np.concatenate(rows), np.concatenate(effect) * (b < len(steps))
+        left = rows - G @ np.linalg.lstsq(G, rows, rcond=1e-12)[0]
+        moves = parts.moves[np.arange(a, b), 0, c].sum()
+        best = min(best, moves + left @ left)
+    return best
+
+
+def test_bounds_hold_where_a_step_has_more_rows_than_errors():
+    """With rows that no error makes good, what a doll adds does not split as its labels do."""
+    for seed in range(15):
+        rng = np.random.default_rng(seed)
+        H, W, m, n = 6, 3, 2, 1
+        both = np.linalg.qr(rng.normal(size=(H, m + n, n)))[0]
+        own, push = rng.normal(size=(H, m, 1)), rng.normal(size=(H, n, 1))
+        steps = [
+            segments.Coordinates(*step)
+            for step in zip(own, both[:, :m], both[:, m:], push, np.full(H, 100.0), strict=True)
+        ]
+        deviation, moves = rng.normal(size=(H, W, 1)), rng.exponential(0.05, (H, 1, W))
+        size = np.abs(deviation).max(axis=1).ravel()
+        parts = segments.Triangle(0.0, moves, deviation, np.zeros((0, 0)), size, 0.0, 100.0)
+        least = [least_of_segment(parts, steps, 0, b) for b in range(1, H)]
+        known = moves[:, 0].argmin(axis=1)
+        room = float(sum(rows_exactly(parts, steps, known)))
+        R = segments.bounds_ahead(parts, steps, known, room, 1e-12, lambda: False).least
+        assert (R[1:] <= np.array(least) * (1 + 1e-9) + 1e-12).all()
+
+
+def test_states_are_bounded_where_nothing_is_forgotten():
+    """Weights that forget grow beyond all floats there; those that do not bound the sum."""
+    H, one = 8000, np.ones((8000, 1, 1))
+    system = Sensitivity(one, 0 * one, one, one, False)
+    reach = segments._reaches(system, one[..., 0])
+    assert np.isfinite(reach).all()
+    assert (reach >= np.arange(H, 0, -1) * (1 - 1e-12)).all()
+
+
 def rows_exactly(parts, steps, c):
     """What each step adds to the excess of a schedule, in fractions of the very floats."""
     number = np.vectorize(Fraction, otypes=[object])
