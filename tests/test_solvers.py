@@ -35,8 +35,8 @@ names = {"ids": lambda solver: solver.__name__}
 def rounding(problem):
     """What cannot be told apart: 1e-10 of the largest terms that a cost is summed from."""
     felt = np.abs(problem.mean).max(axis=1).ravel()
-    finite = np.where(np.isfinite(problem.linear), np.abs(problem.linear), 0)
-    return 1e-10 * float(felt @ np.abs(problem.quadratic) @ felt + finite.max(axis=1).sum())
+    singles = problem.linear_size.max(axis=1).sum()
+    return 1e-10 * float(felt @ np.abs(problem.quadratic) @ felt + singles)
 
 
 def optimum(problem):
