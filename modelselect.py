@@ -620,7 +620,8 @@ def _searched(
     def expired() -> bool:
         return time_left() <= 0
 
-    widths = [width for width in WIDTHS if width < max_labels] + [max_labels]
+    narrow = WIDTHS[:1] + WIDTHS[2:] if isinstance(form.M, Sensitivity) else WIDTHS
+    widths = [width for width in narrow if width < max_labels] + [max_labels]
     for width in [*widths, max_labels]:
         if closed(cost, proved) or expired():
             break
@@ -634,8 +635,7 @@ def _searched(
         if not steps:
             break
         if passes == segments.passes_before_bounds(form) and not complete:
-            known = best[::turn]
-            ahead = segments.bounds_ahead(triangle, steps, known, excess, slack, expired)
+            ahead = segments.bounds_ahead(triangle, steps, best[::turn], excess, slack, expired)
         lost = label_search.losses(triangle, steps, purse, excess, slack, least)
         found = label_search.search(triangle, steps, purse, lost, width, expired, ahead)
         labels, passes, complete, before = found.labels[::turn], passes + 1, found.complete, cost
