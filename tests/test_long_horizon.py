@@ -363,6 +363,8 @@ def test_a_system_stays_one_only_where_it_is_long_and_steps_are_free(monkeypatch
     assert problem.control_term(c) == pytest.approx(dense.control_term(c), rel=1e-12)
     assert ms.branch_and_bound(problem).cost == pytest.approx(ms.solve(dense).cost)
     np.testing.assert_allclose(problem.quadratic, dense.quadratic, atol=1e-12)
+    with pytest.raises(ValueError, match=r"^psi: expected a matrix"):
+        ms.plain_dynamic_program(problem)
 
 
 @pytest.mark.parametrize("information", ["causal", "measurement"])
