@@ -250,7 +250,7 @@ def psi(
     Psi = _squared_regret(task, information, observer)
     if not np.isfinite(Psi).all():
         raise ValueError("task: Psi overflows; rescale the costs or C, or shorten the horizon")
-    size = felt_size(task, Psi.diagonal())
+    size = felt_size(task, Psi.diagonal(), observer)
     lost = np.abs(Psi - _squared_regret(*in_other_units(task, information, observer)))
     if (lost > PSI_TOLERANCE * size[:, None] * size).any():
         raise ValueError(
@@ -260,13 +260,14 @@ def psi(
     return Psi
 
 
-def felt_size(task: ControlTask, diagonal: Array) -> Array:
+def felt_size(task: ControlTask, diagonal: Array, observer: Observer | None = None) -> Array:
     """Return sqrt(Psi_ii), which digits count by, and no less than its rounding.
 
     Where errors have next to no effect, sums cancel to what rounding leaves: that is no loss.
     """
     _, _, C, Q, _ = task.over_time()
-    alone = np.einsum("tij,tii->tj", C**2, np.maximum(Q[:-1], Q[1:])).max()
+    entering = C**2 if observer is None else C**2 + observer.gain**2
+    alone = np.einsum("tij,tii->tj", entering, np.maximum(Q[:-1], Q[1:])).max()
     least = 1e-10 * max(diagonal.max(), alone)
     return np.asarray(np.sqrt(np.maximum(diagonal, least)) + np.finfo(float).tiny)
 

@@ -215,7 +215,7 @@ def sensitivity(
     if not all(np.isfinite(array).all() for array in (*plain[:-1], *other[:-1])):
         raise ValueError("task: Psi overflows; rescale the costs or C, or shorten the horizon")
     system = Sensitivity(*plain)
-    size = felt_size(task, system.diagonal())
+    size = felt_size(task, system.diagonal(), observer)
     probe = np.cos(np.arange(len(size))) / size
     off = np.abs(system @ probe - Sensitivity(*other) @ probe)
     if not (off <= PSI_TOLERANCE * math.sqrt(len(size)) * size).all():

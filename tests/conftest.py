@@ -19,7 +19,7 @@ settings.register_profile(
     "dev",
     settings.get_profile("default"),
     deadline=None,
-    max_examples=30,
+    max_examples=20,
     print_blob=True,
     suppress_health_check=[HealthCheck.too_slow],
 )

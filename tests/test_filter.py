@@ -21,6 +21,7 @@ from modelselect import (
     prior_pull,
     psi,
     run_controller,
+    sensitivity,
 )
 from perception import gaussian_suite, sample_errors
 
@@ -101,6 +102,15 @@ def test_its_regret_is_quadratic_in_expectation_over_pushes_of_mean_zero(case, s
     e = errors.ravel()
     size = np.mean(wrong + right) + idle_size(task, x0, s, errors)
     assert abs(np.mean(wrong - right) - e @ psi(task, "filter", gains=gains) @ e) <= 1e-9 * size
+
+
+def test_a_filter_that_measures_nothing_has_a_psi_all_the_same():
+    """C = 0: errors enter through the gains, and next to nothing of them through this cost."""
+    A, Q = [[0, 1], [-1, 0]], [[1, -1], [-1, 1]]
+    task = ControlTask(A, [[-1], [-1]], [[0], [0]], Q, [[2]], 1)
+    gains = np.random.default_rng(0).normal(size=(2, 1))
+    assert abs(psi(task, "filter", gains=gains)).max() < 1e-25
+    assert abs(np.asarray(sensitivity(task, "filter", gains=gains))).max() < 1e-25
 
 
 def test_memory_couples_steps_under_feedback():

@@ -22,6 +22,7 @@ from modelselect import (
     riccati,
     run_controller,
 )
+from modelselect_parts.semidefinite import semidefinite_root
 
 from strategies import (
     SEEDS,
@@ -295,7 +296,8 @@ def test_psi_does_not_depend_on_the_coordinates_of_the_state(task, information, 
     rotation = np.linalg.qr(rng.normal(size=(task.n, task.n)))[0]
     T = rotation * rng.uniform(0.5, 2, task.n)  # x = T z
     into = np.linalg.inv(T)
-    Q, Q_final = (T.T @ M @ T for M in (task.Q, task.Q_final))
+    roots = (T.T @ semidefinite_root(M) for M in (task.Q, task.Q_final))
+    Q, Q_final = (F @ F.swapaxes(-1, -2) for F in roots)  # semidefinite, where T'QT cancels
     same = replace(
         task, A=into @ task.A @ T, B=into @ task.B, C=into @ task.C, Q=Q, Q_final=Q_final
     )
