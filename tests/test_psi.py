@@ -290,6 +290,15 @@ def test_psi_scales_with_the_costs_and_with_the_square_of_c(task, information, p
     assert close(psi(louder, information), Psi * k**2, louder)
 
 
+def test_errors_without_any_effect_have_a_psi_of_rounding():
+    """The only state that is charged is the last, which A C = 0 keeps them out of."""
+    Q, C = np.zeros((2, 2, 2)), [[[1], [-1]], [[0], [0]]]
+    B = [[[-1, 0], [-1, -1]], [[0, 1], [-1, -1]]]
+    task = ControlTask(np.ones((2, 2)), B, C, Q, [[3, -1], [-1, 2]], 2, Q_final=2 * np.eye(2))
+    for information in INFORMATION:
+        assert np.abs(psi(task, information)).max() < 1e-25
+
+
 @given(tasks(), st.sampled_from(INFORMATION), SEEDS)
 def test_psi_does_not_depend_on_the_coordinates_of_the_state(task, information, seed):
     rng = np.random.default_rng(seed)

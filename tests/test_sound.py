@@ -495,7 +495,7 @@ FAMILIES = {
     separable: 100,
     ordinary: 100,
 }
-SHARE = {"dev": 0.3, "ci": 1.0, "mutation": 0.1}[PROFILE]
+SHARE = {"dev": 0.5, "ci": 1.0, "mutation": 0.1}[PROFILE]
 every_family = pytest.mark.parametrize("family", FAMILIES, ids=lambda family: family.__name__)
 
 
