@@ -585,13 +585,13 @@ def dynamic_program(
 
     Sphere decoding on a Viterbi trellis (modelselect_parts/label_search.py): a label is a partial
     schedule, and goes when it costs too much or when another one dominates it.  Passes keep at
-    most 64, then eight times as many labels a step, up to `max_labels` (at least 64; the default,
-    262144, takes a gigabyte or two where it is needed).  One that had to drop labels proves the
-    least that those cost; one that did not proves the optimum.  A better schedule found by one
-    pass shrinks the budget of the next; from the fourth on labels also go by what the steps before
-    must add at least (`segments.bounds_ahead`).  Ends with the gap, or after `time_limit`
-    seconds with what is proved by then; `relaxation`, of `relax_interior_point` by default, gives d
-    and the first schedule.
+    most 64 (512 with switching costs or a budget), then eight times as many labels a step, up to
+    `max_labels` (at least 64; the default, 262144, takes a gigabyte or two where it is needed).
+    One that had to drop labels proves the least that those cost; one that did not proves the
+    optimum.  A better schedule found by one pass shrinks the budget of the next; in later ones
+    labels also go by what the steps before must add at least (`segments.bounds_ahead`).  Ends with
+    the gap, or after `time_limit` seconds with what is proved by then; `relaxation`, of
+    `relax_interior_point` by default, gives d and the first schedule.
     `work` holds the labels kept at every step of the last pass, whether it was complete (a gap is
     then due to rounding), the passes and the seconds.
     """
@@ -620,7 +620,7 @@ def _searched(
     def expired() -> bool:
         return time_left() <= 0
 
-    narrow = WIDTHS[:1] + WIDTHS[2:] if isinstance(form.M, Sensitivity) else WIDTHS
+    narrow = segments.widths(form, WIDTHS)
     widths = [width for width in narrow if width < max_labels] + [max_labels]
     for width in [*widths, max_labels]:
         if closed(cost, proved) or expired():

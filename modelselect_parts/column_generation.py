@@ -19,9 +19,10 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-import scipy.linalg as la
+from scipy.linalg import LinAlgError
 
 from modelselect_parts.checks import Array
+from modelselect_parts.semidefinite import cholesky_solver
 from modelselect_parts.trellis import Form, cheapest_path, path_sum, slopes
 
 
@@ -103,7 +104,7 @@ def master(G: Array, cost: Array, spent: Array, limit: float) -> tuple[Array, fl
             break
         try:
             direction = _newton(P, E, dual, primal, v, z)
-        except (la.LinAlgError, ValueError):  # the method has gone as far as digits go
+        except LinAlgError:  # the method has gone as far as digits go
             break
         dv, dy, dz = direction(-v * z)
         step = _inside(v, dv, z, dz)
@@ -119,13 +120,13 @@ def _newton(
     P: Array, E: Array, dual: Array, primal: Array, v: Array, z: Array
 ) -> Callable[[Array], tuple[Array, Array, Array]]:
     """Return r -> dv, dy, dz with P dv - E'dy - dz = dual, E dv = primal, z dv + v dz = r."""
-    system = la.cho_factor(P + np.diag(z / v))
-    back = la.cho_solve(system, E.T, check_finite=False)
-    small = la.cho_factor(E @ back)
+    system = cholesky_solver(P + np.diag(z / v))
+    back = system(E.T)
+    small = cholesky_solver(E @ back)
 
     def direction(r: Array) -> tuple[Array, Array, Array]:
-        a = la.cho_solve(system, dual + r / v, check_finite=False)
-        dy = la.cho_solve(small, primal - E @ a, check_finite=False)
+        a = system(dual + r / v)
+        dy = small(primal - E @ a)
         dv = a + back @ dy
         return dv, dy, (r - z * dv) / v
 

@@ -20,10 +20,10 @@ from collections.abc import Callable
 from time import perf_counter
 
 import numpy as np
-import scipy.linalg as la
+from scipy.linalg import LinAlgError
 
 from modelselect_parts.checks import Array, Mask
-from modelselect_parts.semidefinite import semidefinite_root
+from modelselect_parts.semidefinite import cholesky_solver, semidefinite_root
 
 # An evaluation of f: weights -> value, lower bound, gradient G (infinite where not allowed).
 Evaluate = Callable[[Array], tuple[float, float, Array]]
@@ -67,7 +67,7 @@ def interior_point(
             return best, iteration  # rounding, or underflow, has the upper hand
         try:
             db, dy = _newton_step(M, mean, inside, b, z)
-        except la.LinAlgError:
+        except LinAlgError:
             return best, iteration
         weights = weights.copy()
         weights[free] = np.maximum(b + db, 0)
@@ -98,12 +98,12 @@ def _newton_step(M: Array, mu: Array, inside: Mask, b: Array, z: Array) -> tuple
     total = w.sum(axis=1)
     D = mu - (np.einsum("tw,twi->ti", w, mu) / total[:, None])[:, None]
     F = semidefinite_root(np.einsum("twi,twj->tij", w[..., None] * D, D))
-    system = la.cho_factor(np.eye(k * p) + 2 * congruence(F, M))
+    system = cholesky_solver(np.eye(k * p) + 2 * congruence(F, M))
 
     def direction(r: Array) -> tuple[Array, Array, Array]:
         rate = np.where(inside, r / z, 0)
         a = np.einsum("tw,twi->ti", rate - w * (rate.sum(axis=1) / total)[:, None], mu)
-        x = la.cho_solve(system, np.einsum("tij,ti->tj", F, (M @ a.ravel()).reshape(k, p)).ravel())
+        x = system(np.einsum("tij,ti->tj", F, (M @ a.ravel()).reshape(k, p)).ravel())
         v = M @ (a - 2 * np.einsum("tij,tj->ti", F, x.reshape(k, p))).ravel()
         pull = 2 * np.einsum("twi,ti->tw", mu, v.reshape(k, p))
         dy = ((w * pull).sum(axis=1) - rate.sum(axis=1)) / total

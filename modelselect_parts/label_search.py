@@ -134,13 +134,15 @@ def undominated(
         )
         i, j = alive[i], alive
         alike = i != j if state is None else (i != j) & (state[i] == state[j])
-        tested = np.flatnonzero(alike)
+        tested = alike.nonzero()[0]
         i, j = i[tested], j[tested]
         apart = y.take(i, axis=0) - y.take(j, axis=0)
         rho2 = np.einsum("ij,ij->i", apart, apart)
         dominated = paid[i] + 2 * np.sqrt(rho2) * room[j] + rho2 <= paid[j] + merge
         fruitful = halvings < 2 or int(dominated.sum()) > len(alive) / 100
-        alive = np.delete(alive, tested[dominated])
+        stays = np.ones(len(alive), dtype=bool)
+        stays[tested[dominated]] = False
+        alive = alive[stays]
     kept = np.zeros(len(extra), dtype=bool)
     kept[alive] = True
     return kept

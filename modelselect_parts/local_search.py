@@ -89,7 +89,8 @@ def _best_interval(form: Form, c: Choices, w: int) -> tuple[float, int, int]:
     D = form.mean[:, w] - now
     felt = (form.matrix @ now.ravel()).reshape(H, p)
     coupled = np.einsum("ti,tisj,sj->ts", D, form.matrix.reshape(H, p, H, p), D)
-    corner = np.pad(coupled.cumsum(axis=0).cumsum(axis=1), ((1, 0), (1, 0)))
+    corner = np.zeros((H + 1, H + 1))
+    coupled.cumsum(axis=0).cumsum(axis=1, out=corner[1:, 1:])
     change = corner.diagonal()[None, 1:] - corner[:-1, 1:] - corner[1:, :-1].T
     change = change + corner.diagonal()[:-1, None] + _interval_sum(2 * (D * felt).sum(axis=1))
     change += _of_interval(form.linear, form.arc, c, w)
@@ -104,8 +105,9 @@ def _best_interval(form: Form, c: Choices, w: int) -> tuple[float, int, int]:
 
 def _interval_sum(values: Array) -> Array:
     """Return the sum from step a to step b, [a, b]."""
-    total = np.append(0.0, values.cumsum())
-    return np.asarray(total[None, 1:] - total[:-1, None])
+    total = np.zeros(len(values) + 1)
+    values.cumsum(out=total[1:])
+    return total[1:] - total[:-1, None]
 
 
 def _of_interval(node: Array, arc: Array | None, c: Choices, w: int) -> Array:
@@ -117,7 +119,7 @@ def _of_interval(node: Array, arc: Array | None, c: Choices, w: int) -> Array:
         change -= _interval_sum(np.append(0.0, old)) - np.append(0.0, old)[:, None]  # inside
         change += np.append(0.0, arc[c[:-1], w] - old)[:, None]
         change += np.append(arc[w, c[1:]] - old, 0.0)
-    return np.where(_interval_sum(missing * 1.0) > 0, np.inf, change)
+    return np.where(_interval_sum(missing * 1.0) > 0, np.inf, change) if missing.any() else change
 
 
 def descend(

@@ -49,14 +49,28 @@ def is_long(mean: Array) -> bool:
     return len(mean) > 2 * SEGMENTS[-1]
 
 
+def widths(form: Form, known: list[int]) -> list[int]:
+    """Return which of the `known` widths the passes of a search take, one after the other.
+
+    The first need not be complete: what it finds makes the next one shorter.  With switching costs
+    or a budget fewer labels dominate others, so that 64 rarely find much; tried at H = 50 and 150.
+    Of systems, few need 512 where 64 did not do: they have bounds ahead by then.
+    """
+    if isinstance(form.M, Sensitivity):
+        return known[:1] + known[2:]
+    return known if form.bare else known[1:]
+
+
 def passes_before_bounds(form: Form) -> int:
     """Return after how many passes of the search bounds ahead are worth their time.
 
     Tried at H = 300 to 1000: earlier they cost a matrix more than they save, up to twice the time.
+    They come after as many labels whether the first pass had 64 or 512 (`widths`).
     """
     if isinstance(form.M, Sensitivity):
         return 1
-    return 2 if is_long(form.mean) else 3
+    passes = 2 if is_long(form.mean) else 3
+    return passes if form.bare else passes - 1
 
 
 def relax_in_windows(

@@ -6,9 +6,11 @@ All are scaled to unit diagonal first, so that the units of the rows do not matt
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 import numpy.typing as npt
+from scipy.linalg import LinAlgError, lapack
 
 Array = npt.NDArray[np.float64]
 
@@ -46,3 +48,19 @@ def semidefinite_root(matrices: Array) -> Array:
     values, V = np.linalg.eigh(matrices / scale / np.swapaxes(scale, -1, -2))
     rounding = matrices.shape[-1] * EPSILON
     return np.asarray(scale * V * np.sqrt(np.where(values > rounding, values, 0))[..., None, :])
+
+
+def cholesky_solver(A: Array) -> Callable[[Array], Array]:
+    """Return b -> A^{-1}b for definite A (k, k), b (k,) or (k, n); LinAlgError if A is not.
+
+    LAPACK's own routines: SciPy's `cho_solve` calls the same ones, and looks at its arguments for
+    longer than a small system takes.
+    """
+    U, failed = lapack.dpotrf(A, clean=False)
+    if failed or not np.isfinite(A).all():  # LAPACK lets NaN pass
+        raise LinAlgError("expected a positive definite matrix")
+
+    def solve(b: Array) -> Array:
+        return np.asarray(lapack.dpotrs(U, b)[0])
+
+    return solve

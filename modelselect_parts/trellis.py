@@ -86,7 +86,7 @@ def forward(node: Array, arc: Array | None) -> Array:
         return np.asarray(before[:, None] + node)
     F = node.copy()
     for t in range(1, len(node)):
-        F[t] += (F[t - 1][:, None] + arc).min(axis=0)
+        F[t] += np.minimum.reduce(F[t - 1][:, None] + arc, axis=0)
     return F
 
 

@@ -17,6 +17,7 @@ import modelselect as ms
 from modelselect import SelectionProblem
 from modelselect_parts import label_search, trellis
 from modelselect_parts import triangle as triangle_part
+from modelselect_parts.semidefinite import cholesky_solver
 from perception import published_suite, textbook_suite
 
 from strategies import SEEDS, every_schedule, problems
@@ -150,6 +151,18 @@ def test_interior_point_needs_few_steps_where_gradients_need_thousands():
     assert gradient.gap <= 1e-6
     assert gradient.iterations >= 500
     assert newton.bound == pytest.approx(gradient.bound, rel=1e-6)
+
+
+@given(SEEDS, st.integers(1, 9))
+def test_cholesky_solves_what_is_definite_and_refuses_the_rest(seed, k):
+    root = np.random.default_rng(seed).normal(size=(k, 2 * k))
+    A, b = root @ root.T + np.eye(k), root[:, :2]
+    solve = cholesky_solver(A)
+    np.testing.assert_allclose(A @ solve(b), b, atol=1e-9)
+    np.testing.assert_allclose(A @ solve(b[:, 0]), b[:, 0], atol=1e-9)
+    for spoiled in (-A, np.where(np.eye(k), np.nan, A), np.where(np.eye(k), np.inf, A)):
+        with pytest.raises(np.linalg.LinAlgError, match="definite"):
+            cholesky_solver(spoiled)
 
 
 def test_interior_point_keeps_to_the_models_it_is_allowed():
