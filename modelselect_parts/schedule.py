@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from modelselect_parts.checks import Array, Choices, check_array, frozen
+from modelselect_parts.checks import Array, Choices, check_array, check_number, frozen
 from modelselect_parts.descent import relative_gap
 from modelselect_parts.stored import Stored
 
@@ -30,10 +30,11 @@ class Schedule(Stored):
 
     def __post_init__(self) -> None:
         choices = check_array("choices", self.choices, "H", (None,))
-        if (choices != np.floor(choices)).any():
-            raise ValueError("choices: expected integers, found others")
+        if ((choices != np.floor(choices)) | (choices < 0) | (choices >= 2**31)).any():
+            raise ValueError("choices: expected integers >= 0, found others")
         self._set(choices=frozen(choices.astype(np.intp)))
         self._set(reference=check_array("reference", self.reference, "pH", (None,)))
+        self._set(multiplier=check_number("multiplier", self.multiplier, minimum=0))
 
     @property
     def gap(self) -> float:

@@ -48,7 +48,7 @@ class Stored(Frozen):
         """Read what `to_json` wrote; ValueError names the field that is missing, odd or wrong."""
         try:
             document = json.loads(text, parse_constant=_refuse, object_pairs_hook=_once)
-        except (TypeError, json.JSONDecodeError) as error:
+        except (TypeError, RecursionError, UnicodeError, json.JSONDecodeError) as error:
             raise ValueError(f"text: expected a JSON document, found {error}") from None
         found = _read(document)
         if not isinstance(found, cls):
@@ -87,8 +87,10 @@ def _read(document: Any) -> Any:
         return document
     kind, version = document.pop("format"), document.pop("version", None)
     cls = Stored._kinds.get(kind) if isinstance(kind, str) else None
-    if cls is None or version != VERSION:
-        raise ValueError(f"format: expected a known one of version 1, found {shown(kind)}")
+    if cls is None:
+        raise ValueError(f"format: expected one of {', '.join(Stored._kinds)}, found {shown(kind)}")
+    if type(version) is not int or version != VERSION:
+        raise ValueError(f"version: expected {VERSION}, found {shown(version)}")
     known = {f.name: f for f in fields(cls)}  # type: ignore[arg-type]
     required = {k for k, f in known.items() if f.default is f.default_factory is MISSING}
     for name in sorted((required - set(document)) | (set(document) - set(known))):
