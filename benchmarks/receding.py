@@ -49,18 +49,25 @@ def windows(family: str, p: int, switching: bool, H: int, W: int) -> list[Select
 def measured(family: str, p: int, switching: bool, H: int, W: int, plans: int) -> Row:
     """Fly a landing: milliseconds of every plan, and how many of them limits leave unproved."""
     problems = windows(family, p, switching, H, W)[:plans]
-    row: Row = {"family": family, "p": p, "switching": switching, "milliseconds": []}
-    replanned = receding_horizon(problems.__getitem__, len(problems))
+    times, proved = flown(problems, None)
+    if not proved.all():
+        raise AssertionError(f"{family}: a plan without a limit is not proved")
+    row: Row = {"family": family, "p": p, "switching": switching, "milliseconds": times.tolist()}
+    for limit in LIMITS:
+        times, proved = flown(problems, limit / 1e3)
+        row[f"limit {limit} ms"] = [int(proved.sum()), int((proved & (times <= limit)).sum())]
+    return row
+
+
+def flown(problems: list[SelectionProblem], limit: float | None) -> tuple[np.ndarray, np.ndarray]:
+    """Return how many milliseconds every plan takes, and whether it is proved."""
+    plans = receding_horizon(problems.__getitem__, len(problems), time_limit=limit)
+    times, proved = [], []
     for _ in problems:
         started = perf_counter()
-        found = next(replanned)
-        row["milliseconds"].append(1e3 * (perf_counter() - started))
-        if not found.is_optimal:
-            raise AssertionError(f"{family}: a plan without a limit is not proved")
-    for limit in LIMITS:
-        hurried = receding_horizon(problems.__getitem__, len(problems), time_limit=limit / 1e3)
-        row[f"proved in {limit} ms"] = sum(plan.is_optimal for plan in hurried)
-    return row
+        proved.append(next(plans).is_optimal)
+        times.append(1e3 * (perf_counter() - started))
+    return np.array(times), np.array(proved)
 
 
 def lines(rows: list[Row]) -> list[dict[str, str]]:
@@ -74,8 +81,9 @@ def lines(rows: list[Row]) -> list[dict[str, str]]:
         marks = {"median, ms": 50, "90%, ms": 90, "longest, ms": 100}
         line |= {name: f"{np.percentile(times, q):.1f}" for name, q in marks.items()}
         for limit in LIMITS:
-            proved = sum(row[f"proved in {limit} ms"] for row in group)
-            line[f"proved in {limit} ms"] = f"{100 * proved / len(times):.0f}%"
+            proved, in_time = np.sum([row[f"limit {limit} ms"] for row in group], axis=0)
+            line[f"proved at a limit of {limit} ms"] = f"{100 * proved / len(times):.0f}%"
+            line[f"and within {limit} ms"] = f"{100 * in_time / len(times):.0f}%"
         answer.append(line)
     return answer
 
@@ -83,7 +91,8 @@ def lines(rows: list[Row]) -> list[dict[str, str]]:
 NOTES = """\
 H = {H} steps, W = {W} models; the textbook landing in 150 steps, planned anew at every second one,
 with open_loop and preview, all signs; switching costs 2% of the first plan's cost.  Times of whole
-plans without a limit, relaxation included, Psi given; all of them are proved.
+plans without a limit, relaxation included, Psi given; all of them are proved.  A limit is looked at
+between steps of the search, which finishes on a narrow beam: some plans are proved a little late.
 """
 
 

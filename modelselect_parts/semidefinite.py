@@ -1,6 +1,7 @@
 """Symmetric positive semidefinite matrices (..., k, k) up to rounding: judged, mended, factored.
 
-All are scaled to unit diagonal first, so that the units of the rows do not matter.
+Where they are judged, mended and rooted they are scaled to unit diagonal first, so that the units
+of the rows do not matter.
 """
 
 from __future__ import annotations

@@ -25,6 +25,7 @@ tight.  Who found it does not matter.  Without arcs the cheapest path is sum_t m
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -85,8 +86,8 @@ def forward(node: Array, arc: Array | None) -> Array:
         before = np.cumsum(node.min(axis=1)) - node.min(axis=1)
         return np.asarray(before[:, None] + node)
     F = node.copy()
-    for t in range(1, len(node)):
-        F[t] += np.minimum.reduce(F[t - 1][:, None] + arc, axis=0)
+    for before, here in pairwise(F):
+        here += np.minimum.reduce(before[:, None] + arc, axis=0)
     return F
 
 
@@ -104,9 +105,9 @@ def cheapest_path(node: Array, arc: Array | None) -> Choices:
     if arc is None:
         return np.asarray(node.argmin(axis=1))
     F, c = forward(node, arc), np.empty(len(node), dtype=np.intp)
-    c[-1] = F[-1].argmin()
-    for t in reversed(range(len(node) - 1)):
-        c[t] = (F[t] + arc[:, c[t + 1]]).argmin()
+    c[-1], best = F[-1].argmin(), (F[:-1, :, None] + arc).argmin(axis=1)  # the model to come from
+    for t in reversed(range(len(best))):
+        c[t] = best[t, c[t + 1]]
     return c
 
 
