@@ -82,7 +82,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from modelselect_parts import column_generation, label_search, local_search, segments, trellis
+from modelselect_parts import column_generation as generation
+from modelselect_parts import label_search, local_search, passes, segments, trellis
 from modelselect_parts import regulator as controllers
 from modelselect_parts import triangle as triangles
 from modelselect_parts.blends import Blend, BlendProblem, sdp_blocks, solve_blend
@@ -141,7 +142,8 @@ from modelselect_parts.sensitivity import Sensitivity, sensitivity
 __version__ = "0.2.0"
 
 SEARCH_SLACK, MERGING = 1e-10, 30
-PERTURBATIONS = 50  #: trials of `local_search.perturbed`, where two passes did not prove
+PRICING_GAP = 1e-4  #: of the problems that price a budget, whose dual leaves more open than that
+PERTURBATIONS = 50  #: trials of `local_search.perturbed` where moves cost something, too
 WIDTHS = [64 * 8**k for k in range(8)]  #: labels that the passes of `dynamic_program` keep a step
 
 
@@ -432,10 +434,10 @@ def relax_by_columns(
     most = check_count("max_iterations", max_iterations)
     closed = closes(gap, problem.rounding)
     limits: dict[str, Any] = {"time_left": time_left, "max_iterations": most}
-    return _mixture(problem.form, column_generation.columns(problem.form, closed, **limits))
+    return _mixture(problem.form, generation.columns(problem.form, closed, **limits))
 
 
-def _mixture(form: trellis.Form, found: column_generation.Columns | None) -> Relaxation:
+def _mixture(form: trellis.Form, found: generation.Columns | None) -> Relaxation:
     """Certify a mixture of schedules; where there is none, no schedule is below infinity."""
     if found is None:
         b = np.where(form.linear < np.inf, 1.0, 0.0)
@@ -459,7 +461,7 @@ def _relax(
     closed = closes(gap, problem.rounding)
     limits: dict[str, Any] = {"ceiling": ceiling, "time_left": time_left}
     if not form.bare:
-        return _mixture(form, column_generation.columns(form, closed, **limits, max_iterations=300))
+        return _mixture(form, generation.columns(form, closed, **limits, max_iterations=300))
 
     def evaluate(b: Array) -> tuple[float, float, Array]:
         return trellis.relaxed(form, b)
@@ -504,9 +506,8 @@ def _start(
         starts.append(trellis.cheapest_path(*priced))
     if form.price is not None:  # which rounding may exceed
         starts.append(trellis.cheapest_path(problem._price, problem.switch_cost))
-    swapped = [_swap(problem, c, time_left) for c in starts]
-    legal = [pair for pair in swapped if problem.is_feasible(pair[0])] or [(starts[-1], 0)]
-    choices, swaps = min(legal, key=lambda pair: problem._accurate_cost(pair[0])[0])
+    swapped = [*(_swap(problem, c, time_left) for c in starts), (starts[-1], 0)]
+    choices, swaps = min(swapped, key=lambda pair: _feasible_cost(problem, pair[0]))
     return _certified(problem, choices, point, "round_and_swap", swaps=swaps)
 
 
@@ -583,14 +584,11 @@ def dynamic_program(
 ) -> Schedule:
     """Prove an optimum by dynamic programming from the last step to the first.
 
-    Sphere decoding on a Viterbi trellis (modelselect_parts/label_search.py): a label is a partial
-    schedule, and goes when it costs too much or when another one dominates it.  Passes keep at
-    most 64 (512 with switching costs or a budget), then eight times as many labels a step, up to
+    Sphere decoding on a Viterbi trellis (label_search.py): a label is a partial schedule, and goes
+    when it costs too much or when another one dominates it.  Passes (passes.py) keep at most 64
+    (512 with switching costs or a budget), then eight times as many labels a step, up to
     `max_labels` (at least 64; the default, 262144, takes a gigabyte or two where it is needed).
-    One that had to drop labels proves the least that those cost; one that did not proves the
-    optimum.  A better schedule found by one pass shrinks the budget of the next; in later ones
-    labels also go by what the steps before must add at least (`segments.bounds_ahead`).  Ends with
-    the gap, or after `time_limit` seconds with what is proved by then; `relaxation`, of
+    Ends with the gap, or after `time_limit` seconds with what is proved by then; `relaxation`, of
     `relax_interior_point` by default, gives d and the first schedule.
     `work` holds the labels kept at every step of the last pass, whether it was complete (a gap is
     then due to rounding), the passes and the seconds.
@@ -607,49 +605,57 @@ def _searched(
     max_labels: int,
     time_left: Callable[[], float],
 ) -> Schedule:
-    """Search pass by pass from a first schedule and its certificate."""
+    """Search pass by pass from a first schedule and its certificate (passes.py)."""
     started, closed = perf_counter(), closes(gap, 0.0)
-    best, cost, proved = first.choices, first.cost, first.root_bound
-    form, point = problem.form, (first.reference, first.multiplier)
-    given = _certificate(problem, *point)
-    root, purse = given.base, triangles.purse(form, first.multiplier)
-    labels, passes, complete = np.zeros(len(problem.mean), dtype=np.intp), 0, False
-    parts = ahead = None
-    turn = -1 if isinstance(form.M, Sensitivity) and form.M.forward else 1  # it begins at the end
 
-    def expired() -> bool:
-        return time_left() <= 0
+    def improve(choices: Choices) -> tuple[Choices, float]:
+        better, _ = _swap(problem, choices, time_left)
+        return better, _feasible_cost(problem, better)
 
-    narrow = segments.widths(form, WIDTHS)
+    known = (first.reference, first.multiplier), first.choices, first.cost, first.root_bound
+    told = improve, lambda *best: _slack(problem, *best), lambda: time_left() <= 0
+    search = passes.Search(problem.form, *known, *told)
+    narrow = segments.widths(problem.form, WIDTHS)
     widths = [width for width in narrow if width < max_labels] + [max_labels]
     for width in [*widths, max_labels]:
-        if closed(cost, proved) or expired():
+        if closed(search.cost, search.proved) or search.expired():
             break
-        if passes == 2 and not complete and form.toll is not None:
-            best, _ = _swap(problem, best, time_left, PERTURBATIONS)
-            cost = problem._accurate_cost(best)[0]
-        slack = _slack(problem, best, cost)
-        parts = parts or segments.prepared(form, given, point, cost - root, slack, expired)
-        triangle, least, steps = parts
-        excess = max(0.0, cost - root - triangle.constant)
-        if not steps:
-            break
-        if passes == segments.passes_before_bounds(form) and not complete:
-            ahead = segments.bounds_ahead(triangle, steps, best[::turn], excess, slack, expired)
-        lost = label_search.losses(triangle, steps, purse, excess, slack, least)
-        found = label_search.search(triangle, steps, purse, lost, width, expired, ahead)
-        labels, passes, complete, before = found.labels[::turn], passes + 1, found.complete, cost
-        if found.choices is not None:
-            better, _ = _swap(problem, found.choices[::turn], time_left)
-            if problem.is_feasible(better) and (lower := problem._accurate_cost(better)[0]) < cost:
-                best, cost = better, lower
-        summing = 4 * trellis.EPS * (abs(root) + abs(found.least))
-        proved = max(proved, min(before, root + found.least - summing))
-        if not (cost < before if found.complete else width < max_labels):
+        if (price := problem.form.price) is not None and search.may_price():
+            _price_the_budget(problem, search, price, time_left)
+        if not search.step(width) or (width == max_labels and not search.complete):
             break  # again only with less to give away, or with room for more
-    work = {"labels": labels, "passes": passes, "complete": complete}
+    work = {"labels": search.labels, "passes": search.passes, "complete": search.complete}
     work["seconds"] = perf_counter() - started
-    return _certified(problem, best, _point(first), "dynamic_program", proved, **work)
+    best, point, proved = search.choices, _point(first), search.proved
+    return _certified(problem, best, point, "dynamic_program", proved, **work)
+
+
+def _price_the_budget(
+    problem: SelectionProblem, search: passes.Search, price: Array, time_left: Callable[[], float]
+) -> None:
+    """Let a search rest on a better price lam of the budget: the problem without, at beta + lam."""
+    limit, toll = problem._limit, problem.switch_cost
+    most = np.abs(price).max(axis=1).sum() + len(price) * (0.0 if toll is None else toll.max())
+
+    def solved(lam: float) -> tuple[float, Schedule, passes.Cut]:
+        free = replace(problem, beta=problem.beta + lam, budget=None)
+        found = _searched(free, _start(free, None, time_left), PRICING_GAP, WIDTHS[4], time_left)
+        search.offer(found.choices)
+        lower, spent = found.lower_bound, float(problem.perception_term(found.choices))
+        rounding = 8 * trellis.EPS * (free.beta * most + abs(lower) + lam * abs(limit))
+        cut = passes.Cut(found.cost - lam * spent, spent)
+        return float(lower - lam * limit - rounding), found, cut
+
+    known = passes.Cut(search.cost, float(problem.perception_term(search.choices)))
+    bound, lam, found = passes.dual(solved, limit, known, search.point[1])
+    if toll is not None:
+        search.offer(_swap(problem, search.choices, time_left, PERTURBATIONS)[0])
+    search.move((found.reference, lam), bound)
+
+
+def _feasible_cost(problem: SelectionProblem, choices: Choices) -> float:
+    """Return what a schedule costs, infinity beyond the budget."""
+    return problem._accurate_cost(choices)[0] if problem.is_feasible(choices) else math.inf
 
 
 def _slack(problem: SelectionProblem, choices: Choices, cost: float) -> float:
@@ -722,22 +728,16 @@ def branch_and_bound(
             rounded = np.where(child, point.weights, -1).argmax(axis=1)
             if child[undecided].sum() == 1:  # a single schedule is left
                 if problem.is_feasible(rounded):
-                    settled = min(settled, _at_least(problem, rounded))
+                    alone, rounding = problem._accurate_cost(rounded)
+                    settled = min(settled, alone - rounding)
             elif bound < cost:
                 heapq.heappush(queue, (bound, len(tree) - 1, child, undecided))
             candidate, _ = _swap(problem, rounded, time_left)
-            legal = problem.is_feasible(candidate)
-            if legal and (lower_cost := problem._accurate_cost(candidate)[0]) < cost:
+            if (lower_cost := _feasible_cost(problem, candidate)) < cost:
                 best, cost = candidate, lower_cost
     lower = min([settled, cost, *(node[0] for node in queue[:1])])
     work = {"nodes": len(tree), "tree": tree, "seconds": perf_counter() - started}
     return _certified(problem, best, _point(first), "branch_and_bound", lower, **work)
-
-
-def _at_least(problem: SelectionProblem, choices: Choices) -> float:
-    """Return what a schedule costs at least, whatever rounding did."""
-    cost, rounding = problem._accurate_cost(choices)
-    return cost - rounding
 
 
 def _narrowed(

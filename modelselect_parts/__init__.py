@@ -24,6 +24,7 @@ local_search      better schedules by small changes
 triangle          what a schedule costs beyond its bound, as a sum over steps
 label_search      the exact search, on bare arrays
 segments          long horizons: parts of them, each a problem of its own
+passes            the exact search pass by pass; the price of a budget
 blends            paper V: Problem 4
 suites            how models err, step by step; dropouts, latency
 residuals         measured errors: read, fitted, guarded, drawn from

@@ -224,6 +224,7 @@ def search(
     width: int,
     expired: Callable[[], bool],
     ahead: Ahead | None = None,
+    margin: float = math.inf,
 ) -> Pass:
     """Keep at most `width` labels a step, from the last step to the first.
 
@@ -232,8 +233,10 @@ def search(
     less the losses.  One with a model that `factor` ruled out costs no less than the best schedule
     known then, to which callers limit the claim.  A later pass may reuse the basis: its excess is
     smaller, so no model that it needs was ruled out, and `losses` is given the same `least`.
+
+    The `margin` is what the budget exceeds the excess of every schedule by that disregards the
+    limit, and twice the losses: L(lam) of passes.py, where it is known.
     """
-    moved, limited = triangle.moves.shape[1] > 1, purse.spend is not None
     H, dropped = len(steps), math.inf
     ahead = ahead or Ahead(np.zeros(H), H, np.zeros(H))
     nothing, offset = np.zeros(1), np.zeros((1, steps[-1].read.shape[1]))
@@ -242,8 +245,7 @@ def search(
     for t, step in reversed(list(enumerate(steps))):
         labels, parent, model = _extended(triangle, step, t, purse, given, ahead.least[t], labels)
         room = ahead.room(t, given.budget - labels.extra)
-        who = labels.state if moved else None, labels.spent if limited else None, purse.multiplier
-        kept = np.flatnonzero(undominated(labels.extra, labels.y, room, given.merge, expired, *who))
+        kept = _survivors(labels, room, purse, given, margin, expired)
         most = min(width, 64) if expired() else width  # out of time: finish on a narrow beam
         if len(kept) > most:
             dropped = min(dropped, float(labels.extra[kept[most]] + ahead.least[t]))
@@ -252,13 +254,39 @@ def search(
         labels = Labels(extra[kept], spent[kept], y.take(kept, axis=0), state[kept])
         trail.append((parent[kept], model[kept]))
     extra, spent = labels.extra, labels.spent
-    if limited:  # what is left of the limit is paid for
+    if purse.spend is not None:  # what is left of the limit is paid for
         extra = extra + purse.multiplier * np.maximum(purse.limit - spent, 0)
     least = min(given.budget, dropped, float(extra.min(initial=math.inf)))
     least += triangle.constant - given.total
     legal = np.where(spent <= purse.limit, extra, math.inf)  # a grain over it proves, and is none
     counts = np.array([len(models) for _, models in reversed(trail)], dtype=np.intp)
     return Pass(_traced(trail, legal), least, dropped == math.inf, counts)
+
+
+def _survivors(
+    labels: Labels,
+    room: Array,
+    purse: Purse,
+    given: Losses,
+    margin: float,
+    expired: Callable[[], bool],
+) -> Choices:
+    """Return which labels, sorted by extra cost, no other makes superfluous.
+
+    Where spending is limited label j also goes if a label i, whatever it has spent, undercuts it by
+    the margin, extra_i + 2 rho room_j + rho^2 + margin <= extra_j: a completion of j within the
+    budget would give i an excess that no schedule has.  So nothing is merged, and i need not stay.
+    """
+    extra, spent, y, state = labels
+    here = None if (state == state[:1]).all() else state
+    if purse.spend is None:
+        return np.flatnonzero(undominated(extra, y, room, given.merge, expired, here))
+    alive = np.arange(len(room))
+    if margin < given.budget:
+        alive = np.flatnonzero(undominated(extra, y, room, -margin, expired, here))
+    y, room = y[alive], room[alive]
+    who = None if here is None else here[alive], spent[alive], purse.multiplier
+    return np.asarray(alive[undominated(extra[alive], y, room, given.merge, expired, *who)])
 
 
 def _extended(

@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 
 import modelselect as ms
 from modelselect import SelectionProblem
-from modelselect_parts import label_search, local_search, trellis
+from modelselect_parts import label_search, local_search, passes, trellis
+from modelselect_parts import triangle as triangles
 
 SEEDS = st.integers(0, 2**32 - 1)
 EXACT = (ms.enumerate_schedules, ms.plain_dynamic_program, ms.dynamic_program, ms.solve)
@@ -176,6 +177,79 @@ def test_only_labels_that_spent_no_less_are_dominated(seed, dimensions, labels, 
         claim &= (state == state[j]) & (spent <= spent[j])
         claim[j] = False
         assert claim.any(), "no label of its state that spent no more dominates it"
+
+
+@given(SEEDS)
+def test_the_dual_of_a_budget_is_a_bound_that_no_price_beats_by_much(seed):
+    problem = a_problem(seed)
+    schedules = schedules_of(problem)
+    cost, spent = problem.total_cost(schedules), problem.perception_term(schedules)
+    cost, spent = cost[np.isfinite(cost)], spent[np.isfinite(cost)]
+    limit = float(np.quantile(spent, 0.3))
+    legal = np.flatnonzero(spent <= limit)
+    k = legal[cost[legal].argmin()]
+    tried = []
+
+    def solved(lam):
+        tried.append(lam)
+        c = (cost + lam * (spent - limit)).argmin()
+        bound = cost[c] + lam * (spent[c] - limit)
+        return bound, c, passes.Cut(float(cost[c]), float(spent[c]))
+
+    known = passes.Cut(float(cost[k]), float(spent[k]))
+    bound, lam, c = passes.dual(solved, limit, known, float(np.random.default_rng(seed).random()))
+    tiny = 1e-12 * np.abs(cost).max()
+    assert lam in tried and lam >= 0 and len(tried) <= passes.CUTS
+    assert bound == pytest.approx(cost[c] + lam * (spent[c] - limit))
+    # The best price lies where two schedules cost the same, or at 0.
+    rise, run = cost[:, None] - cost, spent - spent[:, None]
+    prices = (rise[run > 0] / run[run > 0]).clip(0)
+    L = [(cost + price * (spent - limit)).min() for price in (0.0, *prices)]
+    assert bound <= max(L) + tiny <= cost[k] + 2 * tiny
+    assert len(tried) == passes.CUTS or max(L) - bound <= 0.1 * (cost[k] - bound) + tiny
+
+
+@given(SEEDS, st.integers(0, 2), st.integers(1, 60))
+def test_labels_that_a_margin_drops_lead_to_no_schedule_within_the_budget(seed, r, labels):
+    # With completions |v + y|^2 + c, each label's least excess is known; none is below the floor.
+    rng = np.random.default_rng(seed)
+    y, state = rng.normal(size=(labels, r)) / 2, rng.integers(0, 2, labels)
+    extra, spent = np.sort(rng.random(labels)), rng.random(labels)
+    v = rng.normal(size=(9, r))
+    whole = extra[:, None] + ((v + y[:, None]) ** 2).sum(axis=-1)  # of every completion
+    floor, budget = float(whole.min()), float(np.quantile(whole, 0.3))
+    given_ = label_search.Losses(budget, 0.0, 0.0, 0.0)
+    room = np.sqrt(np.maximum(budget - extra, 0))
+    purse = triangles.Purse(0.5, np.zeros((1, 2, 2)), None, 1.0, 1.0, 0.0)
+    partial = label_search.Labels(extra, spent, y, state)
+    expired = lambda: False  # noqa: E731
+    margins = (np.inf, budget - floor)
+    without, kept = (
+        label_search._survivors(partial, room, purse, given_, margin, expired) for margin in margins
+    )
+    gone = np.setdiff1d(np.arange(labels), kept)
+    assert set(kept) <= set(range(labels)) and len(kept) <= len(without)
+    for j in gone:
+        near = (state == state[j]) & (spent <= spent[j]) & (np.arange(labels) != j)
+        paid, rho = extra - 0.5 * spent, np.linalg.norm(y - y[j], axis=1)
+        dominated = near & (paid + 2 * rho * room[j] + rho**2 <= paid[j] + 1e-12)
+        assert dominated.any() or (whole[j] >= budget - 1e-12).all()
+
+
+def test_a_price_of_the_budget_proves_what_the_relaxation_leaves_open():
+    # Mixtures of biases of opposite sign promise much; switches between them spend the budget.
+    H, one = 30, np.eye(1)
+    mean = np.tile([[1.0], [-1.2], [0.1]], (H, 1, 1))
+    limits = {"switch_cost": 2.0 * (1 - np.eye(3)), "budget": 22}
+    Psi = ms.psi(ms.ControlTask(one, one, one, one, one, H))
+    problem = SelectionProblem(Psi, mean, 0 * mean, [0, 0, 1.5], beta=0.01, **limits)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(ms, "WIDTHS", [8, 8, 64, 512, 4096])
+        found = ms.dynamic_program(problem, max_labels=4096)
+        patch.setattr(passes.Search, "may_price", lambda search: False)
+        without = ms.dynamic_program(problem, max_labels=4096)
+    assert found.is_optimal and not without.is_optimal
+    assert without.lower_bound <= found.cost <= without.cost
 
 
 def test_schedules_are_disturbed_where_no_single_change_helps():
