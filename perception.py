@@ -40,7 +40,7 @@ from __future__ import annotations
 
 import io
 import os
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -75,6 +75,12 @@ from modelselect_parts.checks import (
     shown,
 )
 from modelselect_parts.checks import Choices as Indices
+from modelselect_parts.measurements import (
+    PathLike,
+    Residuals,
+    read_residuals,
+    write_residuals,
+)
 from modelselect_parts.networks import (
     ARCHITECTURE,
     EFFICIENTNET,
@@ -87,20 +93,17 @@ from modelselect_parts.networks import (
 )
 from modelselect_parts.residuals import (
     Kernel,
-    PathLike,
-    Residuals,
     altitude_bins,
     bootstrap_errors,
     fit_suite,
     guard_suite,
-    read_residuals,
-    write_residuals,
 )
 from modelselect_parts.suites import (
     LARGEST,
     PerceptionSuite,
     Rng,
     measured_latency,
+    priced,
     sample_errors,
     with_dropouts,
     with_latency,
@@ -132,7 +135,7 @@ def published_suite(horizon: int, rng: Rng, upsilon: float = 1e14) -> Perception
 def gaussian_suite(
     bias: Callable[[Array, Array], ArrayLike],
     spread: Callable[[Array, Array], ArrayLike],
-    cost: ArrayLike,
+    cost: ArrayLike | Mapping[str, ArrayLike],
     at: ArrayLike,
     *,
     names: Sequence[str] | None = None,
@@ -143,7 +146,8 @@ def gaussian_suite(
     """Make a suite (p = 1) of a formula for the bias and one for the standard deviation.
 
     Both are functions of w (W,), the numbers of the models, and of x (H, 1), which is `at`: the
-    steps, or the altitudes on the way; they return (H, W).  The `cost` (W,) or (H, W) sets W.
+    steps, or the altitudes on the way; they return (H, W).  The `cost` (W,) or (H, W), or by name,
+    sets W.
 
         mean = ± bias(w, x) (1 + jitter[0] z),   variance = (spread(w, x) (1 + jitter[1] z))^2
 
@@ -152,7 +156,9 @@ def gaussian_suite(
     The `names` are b0, b1, ... unless given; jitter and random signs need an `rng`.
     """
     x = check_array("at", at, "H", (None,))
-    price = check_array("cost", cost, "... W", (None,), finite=False)
+    if names is None and isinstance(cost, Mapping):
+        names = list(cost)
+    price = check_array("cost", priced(cost, names or ()), "... W", (None,), finite=False)
     H, W = len(x), price.shape[-1]
     w = np.arange(W, dtype=np.float64)
     with np.errstate(over="ignore", invalid="ignore"):
@@ -253,6 +259,7 @@ def measure_models(networks: Sequence[Network], count: int, rng: Rng) -> Residua
 def _name_models(altitude: Array, residual: Array, W: int) -> Residuals:
     """Residuals of b0, b1, ..., which come in W blocks of equal length."""
     model = np.repeat(np.arange(W), len(residual) // W)
+    check_array("residual", residual, "N", (None,))
     return Residuals([f"b{w}" for w in range(W)], model, altitude, residual)
 
 

@@ -27,7 +27,8 @@ segments          long horizons: parts of them, each a problem of its own
 passes            the exact search pass by pass; the price of a budget
 blends            paper V: Problem 4
 suites            how models err, step by step; dropouts, latency
-residuals         measured errors: read, fitted, guarded, drawn from
+measurements      measured errors in memory and in files
+residuals         what to expect of them: fitted, guarded, drawn from
 camera            pictures of a helipad
 networks          small networks and how they learn
 figures           every picture, from arrays

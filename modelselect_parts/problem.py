@@ -6,6 +6,7 @@ The symbols are those of the table in modelselect.py.
 from __future__ import annotations
 
 import math
+import warnings
 from dataclasses import KW_ONLY, dataclass
 from fractions import Fraction
 from functools import cached_property
@@ -177,8 +178,14 @@ class SelectionProblem(Stored):
     def from_suite(cls, psi: Array | Sensitivity, suite: Suite, **given: Any) -> Self:
         """Pose the problem of a suite's means, variances and, unless `given`, costs.
 
-        Everything else that a problem takes may be given by name: alpha, budget, switch_cost.
+        Everything else that a problem takes may be given by name: alpha, budget, switch_cost.  A
+        suite whose models sometimes gave nothing (`miss_rate`) says how they err when they do not,
+        which is too good: `perception.with_dropouts` adds what happens then.
         """
+        rate = getattr(suite, "miss_rate", None)
+        if rate is not None and np.any(rate):
+            left_out = "suite: looks that gave nothing are left out; see with_dropouts"
+            warnings.warn(left_out, stacklevel=2)
         return cls(psi, suite.mean, suite.variance, given.pop("model_cost", suite.cost), **given)
 
     def _check_beyond_the_paper(self, H: int, W: int, p: int) -> None:

@@ -1,17 +1,16 @@
-"""Measured errors: read, written, fitted, guarded, and drawn from.
+"""What to expect of models whose errors were measured: fitted, guarded, and drawn from.
 
-Each residual s_hat - s has p components and was made where V operating variables (an altitude; or
-a range and a bearing) had certain values.  `fit_suite` asks which errors to expect along a path of
-these variables.  Over one of them, residuals are sorted into bins.  Over several, bins would be
-empty, and each residual counts by how near it was: a `Kernel`.
+`fit_suite` asks which errors to expect along a path of the operating variables at which they were
+made.  Over one variable, residuals are sorted into bins.  Over several, bins would be empty, and
+each residual counts by how near it was: a `Kernel`.
 """
 
 from __future__ import annotations
 
-import csv
-import os
+import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -20,6 +19,7 @@ from scipy.special import chdtri, stdtrit
 from modelselect_parts.checks import (
     Array,
     Frozen,
+    Mask,
     as_numbers,
     check_array,
     check_count,
@@ -30,149 +30,11 @@ from modelselect_parts.checks import (
     shown,
 )
 from modelselect_parts.checks import Choices as Indices
-from modelselect_parts.suites import LARGEST, PerceptionSuite, Rng, check_names, check_whole
+from modelselect_parts.measurements import Residuals, as_residuals, rows_of
+from modelselect_parts.suites import LARGEST, PerceptionSuite, Rng, check_names, priced
 
-PathLike = str | os.PathLike[str]
 Path = ArrayLike | Mapping[str, ArrayLike]  #: one operating variable, or several by name
 Axes = dict[str, tuple[Array, Array]]  #: by variable: where residuals were made, and the path
-
-
-@dataclass(frozen=True, eq=False)
-class Residuals(Frozen):
-    """N measured errors s_hat - s, each with the model that made it and the altitude.
-
-    In the place of the altitude there may be V operating variables, a column each, named by
-    `variables`; residuals of p components have a column each, named by `components`, whose names
-    begin with ``residual``.  A single column is (N,).
-    """
-
-    names: Sequence[str]  #: (W,), distinct
-    model: Indices  #: (N,), index in `names`
-    altitude: Array  #: (N,) or (N, V), in the units of the trajectory
-    residual: Array  #: (N,) or (N, p), in the units of perception
-    variables: Sequence[str] = ("altitude",)  #: (V,)
-    components: Sequence[str] | None = None  #: (p,); if left out, residual, or residual_0, ...
-
-    def __post_init__(self) -> None:
-        names = check_names("names", self.names)
-        residual = _check_columns("residual", self.residual, "p", (None, None))
-        N, p = len(residual), residual[0].size
-        plain = ["residual"] if p == 1 else [f"residual_{i}" for i in range(p)]
-        components = check_names(
-            "components", plain if self.components is None else self.components
-        )
-        variables = check_names("variables", self.variables)
-        if _split_header(["model", *variables, *components]) != (variables, components):
-            raise ValueError(
-                "components: expected names that begin with residual, and none of model and "
-                f"variables that do, found {shown([*variables, *components])}"
-            )
-        if len(components) != p:
-            raise ValueError(f"components: expected {p} names, found {shown(components)}")
-        altitude = _check_columns("altitude", self.altitude, "V", (N, len(variables)))
-        model = check_whole("model", self.model, "N", (N,), len(names) - 1)
-        self._set(names=names, model=model, altitude=altitude, residual=residual)
-        self._set(variables=variables, components=components)
-
-
-def _check_columns(name: str, value: ArrayLike, axis: str, sizes: tuple[int | None, ...]) -> Array:
-    """Return a table (N, k) of k columns, or (N,) of a single one."""
-    if as_numbers(name, value).ndim == 2 or (sizes[1] or 1) > 1:
-        table = check_array(name, value, f"N {axis}", sizes)
-        return table if table.shape[1] > 1 else check_array(name, table[:, 0], "N", sizes[:1])
-    return check_array(name, value, "N", sizes[:1])
-
-
-# ------------------------------------------------------------------------------------ the files
-
-
-def read_residuals(path: PathLike, names: Sequence[str] | None = None) -> Residuals:
-    """Read a CSV file with the header ``model,altitude,residual`` and one residual a line.
-
-    Any other variable may stand in the place of the altitude, or several, and several components
-    in that of the residual: ``model,range,bearing,residual_x,residual_y``.  The columns keep this
-    order, as an altitude taken for a residual would pass for one: the model, the variables, and
-    from the first name that begins with ``residual`` on, the residuals.  Blanks around cells and
-    empty lines do no harm.
-
-    Parameters
-    ----------
-    path : str or path
-        The file, in UTF-8.
-    names : sequence of str, optional
-        The models in the order of the suite; that of the file if left out.
-
-    Returns
-    -------
-    Residuals
-        In the order of the file.
-
-    Raises
-    ------
-    ValueError
-        Any fault, with the file, the line, what was expected and what was found.
-    """
-    (line, header), *rows = _read_rows(path) or [(1, [])]
-    columns = _split_header(header)
-    if columns is None:
-        found = repr(",".join(header)[:60])
-        raise ValueError(
-            f"{path}, line {line}: expected the header model,altitude,residual, found {found}"
-            " (or model, variables, and columns that begin with residual)"
-        )
-    if not rows:
-        raise ValueError(f"{path}: expected residuals below the header, found none")
-    V, p = map(len, columns)
-    number = {} if names is None else {n: w for w, n in enumerate(check_names("names", names))}
-    count = "two" if V + p == 2 else V + p
-    wanted = f"{' or '.join(number) or 'a model'} and {count} finite numbers"
-    records = []
-    for line, row in rows:
-        try:
-            (model,) = check_names("names", row[:1])
-            values = check_array("", [float(cell) for cell in row[1:]], "n", (V + p,))
-            w = number.setdefault(model, len(number)) if names is None else number[model]
-        except (ValueError, KeyError):
-            found = ",".join(row)[:60]
-            raise ValueError(f"{path}, line {line}: expected {wanted}, found {found!r}") from None
-        records.append((w, *values))
-    table = np.array(records)
-    where, residual = table[:, 1 : 1 + V], table[:, 1 + V :]
-    return Residuals(list(number), table[:, 0], where, residual, *columns)
-
-
-def _split_header(header: list[str]) -> tuple[tuple[str, ...], tuple[str, ...]] | None:
-    """Names of the variables and of the components in a header; None if it is none."""
-    is_residual = [name.startswith("residual") for name in header]
-    first = is_residual.index(True) if True in is_residual else 0
-    try:
-        good = check_names("", header)[0] == "model" and first > 1 and all(is_residual[first:])
-    except ValueError:
-        return None
-    return (tuple(header[1:first]), tuple(header[first:])) if good else None
-
-
-def _read_rows(path: PathLike) -> list[tuple[int, list[str]]]:
-    """Line number and stripped cells of all rows of a CSV file that are not blank."""
-    try:
-        # Spreadsheets put a byte order mark before UTF-8 text: "-sig" skips it.
-        with open(os.fspath(path), encoding="utf-8-sig", newline="") as file:
-            reader = csv.reader(file, strict=True)
-            lines = [(reader.line_num, [cell.strip() for cell in row]) for row in reader]
-    except (OSError, ValueError, csv.Error) as error:
-        why = f"{path}: cannot be read as a CSV file: {error}"
-        raise ValueError(" ".join(why.split())) from None
-    return [(line, row) for line, row in lines if any(row)]
-
-
-def write_residuals(path: PathLike, residuals: Residuals) -> None:
-    """Write the file at `path` from which `read_residuals` restores them to the last digit."""
-    header = ["model", *residuals.variables, *(residuals.components or ())]
-    names = [residuals.names[w] for w in residuals.model]
-    numbers = np.column_stack([residuals.altitude, residuals.residual]).tolist()
-    rows = [[name, *row] for name, row in zip(names, numbers, strict=True)]
-    with open(os.fspath(path), "w", encoding="utf-8", newline="") as file:
-        csv.writer(file).writerows([header, *rows])
 
 
 # ------------------------------------------------------------------------- what to expect, and draw
@@ -206,9 +68,9 @@ class Kernel(Frozen):
 
 
 def fit_suite(
-    residuals: Residuals,
+    residuals: Residuals | Any,
     trajectory: Path,
-    cost: ArrayLike,
+    cost: ArrayLike | Mapping[str, ArrayLike],
     *,
     bins: ArrayLike = 10,
     kernel: Kernel | None = None,
@@ -221,10 +83,15 @@ def fit_suite(
 
     are the mean, the unbiased variance, and the standard error of m; where p > 1, v is the
     covariance (H, W, p, p).  Step t takes those of the bin that `trajectory[t]` (H,) falls into;
-    `cost` is (W,) or (H, W).
+    `cost` is (W,) or (H, W), or names each model's.  A table of pandas does for `residuals`.
 
     `bins` are a number of bins of equal width, or increasing edges around the trajectory.  A bin
     includes its lower edge, the last one its upper edge too; residuals outside are not used.
+
+    Looks that gave nothing count for `miss_rate` only, their share in the bin: see `with_dropouts`.
+    `used` is the share of residuals that count anywhere on the way; a warning says if it is under a
+    half.  Residuals that are all the same tell no variance: one of 0 is refused, unless they have a
+    resolution q; then it is q^2/12 at least, that of what rounding to q hides.
 
     Of residuals over several variables the trajectory is a dictionary, from names of one or more of
     them to (H,); those left out do not count.  With a `kernel` instead of bins, step t weighs all
@@ -233,21 +100,27 @@ def fit_suite(
         m = sum a_i r_i,   v = sum a_i (r_i - m)(r_i - m)' / (1 - sum a_i^2),   n = 1 / sum a_i^2
 
     with n rounded down in `sample_size`.  Near every step there must be sum k >= 2 residuals.
+    `used` are those within three widths of the path, each variable by itself.
     """
-    axes = _along(residuals, trajectory)
+    table = as_residuals(residuals)
+    price, seen = _prices(table, cost), _seen(table)
+    axes, everywhere = _along(seen, trajectory), _along(table, trajectory)
     if kernel is None:
-        mean, S, n = _bin_moments(residuals, axes, bins)
+        mean, S, n, used = _bin_moments(seen, axes, bins)
+        rate = _bin_rate(table, everywhere, bins)
     else:
-        mean, S, n = _kernel_moments(residuals, axes, kernel)
-    price = check_array("cost", cost, "... W", (len(residuals.names),), finite=False)
+        mean, S, n = _kernel_moments(seen, axes, kernel)
+        rate, used = _kernel_rate(table, everywhere, kernel), _near(axes, kernel)
+    S = _with_resolution(seen, mean, S)
     v = np.einsum("twii->twi", S)
-    error = np.sqrt(v / n[..., None])
-    variance = v if v.shape[-1] == 1 else S
-    return PerceptionSuite(residuals.names, mean, variance, price, np.floor(n), error)
+    _report(seen, mean, v, axes, used)
+    error, variance = np.sqrt(v / n[..., None]), v if v.shape[-1] == 1 else S
+    share = float(used.mean())
+    return PerceptionSuite(table.names, mean, variance, price, np.floor(n), error, rate, share)
 
 
 def bootstrap_errors(
-    residuals: Residuals,
+    residuals: Residuals | Any,
     trajectory: Path,
     trials: int,
     rng: Rng,
@@ -261,6 +134,7 @@ def bootstrap_errors(
     with this `trajectory` and these `bins`, or with chances a_i by `kernel`, all p components of
     one residual together.  Their mean is that of the suite, their variance (n - 1) / n of its own.
     """
+    residuals = _seen(as_residuals(residuals))
     axes, N = _along(residuals, trajectory), check_count("trials", trials)
     r = _errors(residuals)
     if kernel is not None:
@@ -291,6 +165,9 @@ def guard_suite(suite: PerceptionSuite, level: float = 0.95) -> PerceptionSuite:
     """
     if suite.sample_size is None or suite.standard_error is None or suite.sample_size.min() < 2:
         raise ValueError("suite: expected one measured on 2 residuals or more, found another")
+    spread = suite.variance if suite.variance.ndim == 3 else np.einsum("twii->twi", suite.variance)
+    if not spread.min() > 0:
+        raise ValueError("suite: expected measured variances > 0, found 0: of how many digits?")
     if not 0.5 <= (chance := check_number("level", level)) < 1:
         raise ValueError(f"level: expected a number from 0.5 to below 1, found {chance:g}")
     freedom = suite.sample_size[..., None] - 1.0
@@ -313,6 +190,74 @@ def altitude_bins(altitude: ArrayLike, trajectory: ArrayLike, count: int) -> Arr
         raise ValueError(f"altitude: expected {bins} or more along the way, found {len(near)}")
     inner = np.linspace(0, 1, bins + 1)[1:-1]
     return np.array([h.min(), *np.quantile(near, inner), h.max()])
+
+
+# --------------------------------------------------------------------------- what a fit looks at
+
+
+def _seen(table: Residuals) -> Residuals:
+    """Return the rows that hold an error."""
+    if (gone := table.missed).all():
+        raise ValueError("residuals: expected some errors, found looks that gave nothing only")
+    return rows_of(table, ~gone) if gone.any() else table
+
+
+def _prices(table: Residuals, cost: ArrayLike | Mapping[str, ArrayLike]) -> Array:
+    """Return prices (..., W), by name if only a file says in which order the models come."""
+    names, by_name = table.names, isinstance(cost, Mapping)
+    price = check_array("cost", priced(cost, names), "... W", (len(names),), finite=False)
+    if not (table.ordered or by_name) and (price != price[..., :1]).any():
+        told = ", ".join(f"{name!r}: ..." for name in names)
+        raise ValueError(
+            f"cost: expected prices by name, {{{told}}}, as only the file puts the models in this "
+            "order, or read_residuals(path, names), found numbers"
+        )
+    return price
+
+
+def _with_resolution(residuals: Residuals, mean: Array, S: Array) -> Array:
+    """Return covariances with what rounding hides; refuse one of 0, or of sums' rounding."""
+    v = np.einsum("twii->twi", S)
+    lift = np.maximum(np.square(residuals.resolution) / 12 - v, 0)
+    dead = (v + lift <= 1e-24 * (mean**2 + v)).any(axis=-1)
+    if dead.any():
+        t, w = np.argwhere(dead)[0]
+        raise ValueError(
+            f"residuals: expected different ones of {residuals.names[w]} near step {t}, found equal"
+            " ones; measure more, or state the resolution they are rounded to"
+        )
+    return np.asarray(S + lift[..., None] * np.eye(v.shape[-1]))
+
+
+def _report(residuals: Residuals, mean: Array, v: Array, axes: Axes, used: Mask) -> None:
+    """Warn where few residuals count, or angles err by half a turn."""
+    if used.mean() < 0.5:
+        ways = (f"{n} {_span(z)}, on the way {_span(h)}" for n, (z, h) in axes.items())
+        warnings.warn(
+            f"fit_suite: {used.sum()} of {len(used)} residuals count along this trajectory "
+            f"({'; '.join(ways)}): are both in one unit?",
+            stacklevel=3,
+        )
+    if residuals.period is None:
+        return
+    far = (np.abs(mean) + 2 * np.sqrt(v) > residuals.period / 2).any(axis=-1)
+    if far.any():
+        t, w = np.argwhere(far)[0]
+        warnings.warn(
+            f"fit_suite: errors of {residuals.names[w]} near step {t} reach half a period, where "
+            "nobody can tell them from errors of the other sign",
+            stacklevel=3,
+        )
+
+
+def _span(z: Array) -> str:
+    return f"from {_digits(z.min())} to {_digits(z.max())}"
+
+
+def _digits(number: float) -> str:
+    """Return the shortest text that is this number, without a point where none is needed."""
+    short = f"{number:g}"
+    return short if float(short) == number else repr(float(number))
 
 
 def _errors(residuals: Residuals) -> Array:
@@ -355,8 +300,10 @@ def _check_path(trajectory: ArrayLike, H: int | None) -> Array:
 # ------------------------------------------------------------------------------------------- bins
 
 
-def _bin_moments(residuals: Residuals, axes: Axes, bins: ArrayLike) -> tuple[Array, Array, Array]:
-    """Mean (H, W, p), covariance (H, W, p, p) and number (H, W) of residuals in the bins."""
+def _bin_moments(
+    residuals: Residuals, axes: Axes, bins: ArrayLike
+) -> tuple[Array, Array, Array, Mask]:
+    """Mean (H, W, p), covariance (H, W, p, p), number (H, W) in the bins; who is in one, (N,)."""
     cell, visited, n = _sort_into_bins(residuals, axes, bins)
     r, W = _errors(residuals), len(residuals.names)
     # The maxima keep cells with 0 or 1 residuals finite, which no step visits.
@@ -366,7 +313,14 @@ def _bin_moments(residuals: Residuals, axes: Axes, bins: ArrayLike) -> tuple[Arr
     squares = [np.stack([np.bincount(cell, x * y, n.size) for x in d], -1) for y in d]
     v = np.stack(squares, -1) / np.maximum(n.reshape(-1, 1, 1) - 1, 1)
     mean, S = (table.reshape(-1, W, *table.shape[1:])[visited] for table in (m, v))
-    return mean, S, n[visited].astype(float)
+    return mean, S, n[visited].astype(float), (cell >= W) & (cell < n.size - W)
+
+
+def _bin_rate(residuals: Residuals, axes: Axes, bins: ArrayLike) -> Array:
+    """Return the share (H, W) of looks in the bin of a step that gave nothing."""
+    cell, visited, n = _sort_into_bins(residuals, axes, bins)
+    missed = np.bincount(cell, residuals.missed, n.size).reshape(n.shape)
+    return np.asarray(missed[visited] / n[visited])
 
 
 def _sort_into_bins(residuals: Residuals, axes: Axes, bins: ArrayLike) -> tuple[Indices, ...]:
@@ -378,35 +332,52 @@ def _sort_into_bins(residuals: Residuals, axes: Axes, bins: ArrayLike) -> tuple[
     if len(axes) > 1:
         raise ValueError(f"kernel: expected one for {', '.join(axes)}, as bins hold one of them")
     ((variable, (altitude, h)),) = axes.items()
-    edges, W = _bin_edges(bins, h), len(residuals.names)
-    check_range("residuals", abs(residuals.residual), LARGEST)
-    visited = np.digitize(h, edges)
-    cell = np.digitize(altitude, edges) * W + residuals.model
+    edges, W = _bin_edges(bins, h, variable), len(residuals.names)
+    check_range("residuals", abs(residuals.residual[~residuals.missed]), LARGEST)
+    visited = _bin_of(h, edges)
+    cell = _bin_of(altitude, edges) * W + residuals.model
     n = np.bincount(cell, minlength=(len(edges) + 1) * W).reshape(-1, W)
     if n[visited].min() < 2:
         t, w = np.argwhere(n[visited] < 2)[0]
         low, high = edges[visited[t] - 1], edges[visited[t]]
         raise ValueError(
             f"residuals: expected 2 or more of {residuals.names[w]} at {variable}s "
-            f"{low:g} to {high:g}, found {n[visited[t], w]}; use fewer bins or measure more"
+            f"{_digits(low)} to {_digits(high)}, found {n[visited[t], w]}; use fewer bins or "
+            "measure more"
         )
     return cell, visited, n
 
 
-def _bin_edges(bins: ArrayLike, h: Array) -> Array:
-    """Return the edges of bins around the altitudes h, the last moved up by a rounding step."""
+def _bin_edges(bins: ArrayLike, h: Array, variable: str) -> Array:
+    """Return the edges of bins around the path h."""
     if as_numbers("bins", bins).ndim == 0:
-        edges = np.linspace(h.min(), h.max(), check_count("bins", bins) + 1)
+        count = check_count("bins", bins)
+        if h.min() == h.max():
+            raise ValueError(
+                f"trajectory: expected several {variable}s to make {count} bins of, found "
+                f"{_digits(h[0])} at every step; state edges, such as bins=[low, high]"
+            )
+        edges = np.linspace(h.min(), h.max(), count + 1)
     else:
         edges = check_array("bins", bins, "edges", (None,)).copy()
         check_range("bins", abs(edges), LARGEST)
-    if len(edges) < 2 or np.diff(edges).min() <= 0 or h.min() < edges[0] or h.max() > edges[-1]:
+    increasing = len(edges) > 1 and np.diff(edges).min() > 0
+    if not (increasing and set(_bin_of(h, edges)) <= set(range(1, len(edges)))):
         raise ValueError(
-            f"bins: expected increasing edges from {h.min():g} or less to {h.max():g} or more, "
-            f"found {len(edges)} edges from {edges[0]:g} to {edges[-1]:g}"
+            f"bins: expected increasing edges from {_digits(h.min())} or less to "
+            f"{_digits(h.max())} or more, found {len(edges)} edges {_span(edges)}"
         )
-    edges[-1] = np.nextafter(edges[-1], np.inf)  # so that the half-open last bin holds its edge
     return edges
+
+
+def _bin_of(z: Array, edges: Array) -> Indices:
+    """Return the bin of each z, from 1 to bins, 0 and bins + 1 beyond the edges.
+
+    A value that lies on an edge but for its last digits is in the bin above it, or in the last.
+    """
+    rounding = 1e-12 * float(np.abs(edges).max())
+    found = np.digitize(z + rounding, edges)
+    return np.where(z <= edges[-1] + rounding, np.minimum(found, len(edges) - 1), found)
 
 
 # ---------------------------------------------------------------------------------------- kernels
@@ -424,6 +395,23 @@ def _kernel_moments(residuals: Residuals, axes: Axes, kernel: Kernel) -> tuple[A
         S[t, w] = (a * d.T) @ d / (1 - a @ a)
     z = _scale(axes, kernel)
     return mean * z, S * z[..., None] ** 2, n
+
+
+def _kernel_rate(residuals: Residuals, axes: Axes, kernel: Kernel) -> Array:
+    """Return the share (H, W) of looks near a step that gave nothing."""
+    rate = np.zeros((len(_path_of(axes)), len(residuals.names)))
+    if (gone := residuals.missed).any():
+        for t, w, rows, a in _weights(residuals, axes, kernel):
+            rate[t, w] = a @ gone[rows]
+    return rate
+
+
+def _near(axes: Axes, kernel: Kernel) -> Mask:
+    """Return which residuals (N,) lie within three widths of the path in each variable."""
+    points, path = _coordinates(axes, kernel)
+    reach = 3 * kernel.width
+    inside = (points >= path.min(axis=0) - reach) & (points <= path.max(axis=0) + reach)
+    return np.asarray(inside.all(axis=1))
 
 
 def _weights(

@@ -6,8 +6,9 @@ of means and variances, which any solver takes.  `measured_latency` has millisec
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 from weakref import WeakValueDictionary
 
 import numpy as np
@@ -20,6 +21,7 @@ from modelselect_parts.checks import (
     check_array,
     check_count,
     check_name,
+    check_number,
     check_range,
     check_rng,
     check_semidefinite,
@@ -44,9 +46,11 @@ class PerceptionSuite(Frozen):
     names: Sequence[str]  #: (W,), distinct
     mean: Array  #: (H, W, p), in units of perception
     variance: Array  #: (H, W, p) or (H, W, p, p)
-    cost: Array  #: (W,) or (H, W), of one invocation; inf where a model is not available
+    cost: Array  #: (W,) or (H, W), of one invocation; inf where not available; or {name: cost}
     sample_size: Indices | None = None  #: (H, W)
     standard_error: Array | None = None  #: (H, W, p)
+    miss_rate: Array | None = None  #: (H, W), the share of looks that gave nothing
+    used: float = 1.0  #: the share of the residuals that count anywhere
 
     def __post_init__(self) -> None:
         names = check_names("names", self.names)
@@ -59,7 +63,7 @@ class PerceptionSuite(Frozen):
             variance = check_semidefinite("variance", variance)
         else:
             check_range("variance", variance)
-        cost = check_array("cost", self.cost, "...", (), finite=False)
+        cost = check_array("cost", priced(self.cost, names), "...", (), finite=False)
         width = ("H W", (H, W)) if cost.ndim == 2 else ("W", (W,))
         cost = check_array("cost", cost, *width, finite=False)
         if np.isneginf(cost).any() or np.isinf(np.atleast_2d(cost)).all(axis=1).any():
@@ -72,6 +76,11 @@ class PerceptionSuite(Frozen):
             error = check_array("standard_error", self.standard_error, "H W p", mean.shape)
             check_range("standard_error", error)
             self._set(standard_error=error)
+        if self.miss_rate is not None:
+            rate = check_array("miss_rate", self.miss_rate, "H W", (H, W))
+            check_range("miss_rate", rate, 1)
+            self._set(miss_rate=rate)
+        self._set(used=check_number("used", self.used, minimum=0))
 
     def pick(self, models: Sequence[str | int]) -> PerceptionSuite:
         """Return the suite of these `models` only, by name or by index, in this order."""
@@ -79,7 +88,9 @@ class PerceptionSuite(Frozen):
             raise ValueError(f"models: expected {_choice(self.names)}, found {shown(models)}")
         w = [_index_of("models", model, self.names) for model in models]
         given = {k: table for k, table in vars(self).items() if isinstance(table, np.ndarray)}
-        tables = {k: table[..., w] if k == "cost" else table[:, w] for k, table in given.items()}
+        tables: dict[str, Any] = {
+            k: x[..., w] if k == "cost" else x[:, w] for k, x in given.items()
+        }
         return replace(self, names=[self.names[i] for i in w], **tables)
 
 
@@ -228,6 +239,19 @@ def check_names(argument: str, names: Sequence[str]) -> tuple[str, ...]:
     if not (found and good and len(set(found)) == len(found)):
         raise ValueError(f"{argument}: expected distinct, non-blank strings, found {shown(names)}")
     return found
+
+
+def priced(cost: ArrayLike | Mapping[str, ArrayLike], names: Sequence[str]) -> ArrayLike:
+    """Return prices in the order of the models, if they are given by name."""
+    if not isinstance(cost, Mapping):
+        return cost
+    if set(cost) != set(names):
+        raise ValueError(f"cost: expected one for each of {', '.join(names)}, found {shown(cost)}")
+    each = [check_array(f"cost[{name!r}]", cost[name], "...", (), finite=False) for name in names]
+    try:
+        return np.stack(np.broadcast_arrays(*each), axis=-1)
+    except ValueError:
+        raise ValueError(f"cost: expected numbers, or all (H,), found {shown(cost)}") from None
 
 
 _WHOLE: WeakValueDictionary[int, Indices] = WeakValueDictionary()  # what was checked, by its id

@@ -738,6 +738,8 @@ ROWS: dict[str, tuple[Callable[..., Any], dict[str, Arg]]] = {
             "cost": real(PRICE, "inf"),
             "sample_size": index(np.full((H, W), 5), "none too-large"),
             "standard_error": weight(VARIANCE / 4, "none"),
+            "miss_rate": weight(np.full((H, W), 0.25), "none"),
+            "used": number(0.5),
         },
     ),
     "PerceptionSuite.pick": (
@@ -778,9 +780,14 @@ ROWS: dict[str, tuple[Callable[..., Any], dict[str, Arg]]] = {
             "names": names(["a", "b", "c"], blames="model"),
             "model": index([0, 2, 1, 1]),
             "altitude": real([1, 2, 3, 4], "rank-more"),
-            "residual": real([0, 1, -1, 2], "rank-more", blames="altitude"),
+            "residual": real(
+                [0, 1, -1, 2], "rank-more nan", blames="altitude"
+            ),  # NaN: no detection
             "variables": names(["range"], "twice", blames="altitude"),
             "components": names(["residual_x"], "none twice"),
+            "period": real([9.0], "none inf rank-less rank-0"),
+            "resolution": weight([0.5], "rank-less rank-0"),
+            "ordered": Arg("flag", True),
         },
     ),
     "Residuals/tables": (
@@ -830,6 +837,10 @@ ROWS: dict[str, tuple[Callable[..., Any], dict[str, Arg]]] = {
         {
             "path": path("residuals.csv"),
             "names": names(["a", "b", "c"], "none", blames="residuals"),
+            "sep": Arg("flag", ","),
+            "decimal": Arg("flag", "."),
+            "period": real([9.0], "none inf rank-less rank-0"),
+            "resolution": weight([0.5], "rank-less rank-0"),
         },
     ),
     "write_residuals": (
