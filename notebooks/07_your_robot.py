@@ -635,7 +635,7 @@ with tempfile.TemporaryDirectory() as folder:
     for component, errors in zip(("position", "tilt"), pairs, strict=True):
         path = Path(folder) / f"{component}.csv"
         write_residuals(path, Residuals(detectors, row, np.tile(tag, 60), errors.ravel()))
-        parts.append(fit_suite(read_residuals(path), tag, joules))
+        parts.append(fit_suite(read_residuals(path, detectors), tag, joules))
 mean = np.concatenate([part.mean for part in parts], axis=-1)
 sd = np.sqrt(np.concatenate([part.variance for part in parts], axis=-1))
 z = (pairs - mean.T[:, :, None]) / sd.T[:, :, None]
