@@ -4,6 +4,7 @@
 semidefinite      semidefinite matrices up to rounding: judged, mended, factored
 checks            the one checker of arguments, the types of array
 stored            objects as JSON and back
+files             files that are written whole or not at all
 exact             floats in exact numbers
 task              paper II: the task, what a flight costs, its Riccati recursion
 regulator         paper II: the controllers, what each of them knows, and Psi
@@ -36,5 +37,6 @@ tables            every table, from arrays
 published         what the authors logged, and the paper prints
 rivals            whom the optimum is compared with: eight policies, the sweep of weights
 flights           landing by what networks see in pictures
+plots             which arrays of a run each picture takes
 ================= ==============================================================================
 """

@@ -245,7 +245,7 @@ TOOLS = {
 HOMES = {
     **{"camera": "perception", "networks": "perception"},
     **{"suites": "perception", "measurements": "perception", "residuals": "perception"},
-    **{"flights": "landing", "rivals": "landing"},
+    **{"flights": "landing", "rivals": "landing", "plots": "landing", "files": "landing"},
 }
 
 
