@@ -83,7 +83,7 @@ import numpy as np
 import numpy.typing as npt
 
 from modelselect_parts import column_generation as generation
-from modelselect_parts import label_search, local_search, passes, segments, trellis
+from modelselect_parts import label_search, local_search, passes, relaxations, segments, trellis
 from modelselect_parts import regulator as controllers
 from modelselect_parts import triangle as triangles
 from modelselect_parts.blends import Blend, BlendProblem, sdp_blocks, solve_blend
@@ -94,9 +94,9 @@ from modelselect_parts.checks import (
     as_numbers,
     check_array,
     check_choices,
+    check_class,
     check_count,
     check_number,
-    check_semidefinite,
     shown,
 )
 from modelselect_parts.correlated import correlated_cost, correlated_problem
@@ -112,6 +112,7 @@ from modelselect_parts.error_costs import ErrorCost, error_cost
 from modelselect_parts.hardness import maximum_cut_problem, partition_problem
 from modelselect_parts.held import expand_choices, hold
 from modelselect_parts.interior_point import congruence, interior_point
+from modelselect_parts.matrices import check_semidefinite, nearest_semidefinite
 from modelselect_parts.observers import kalman_gains
 from modelselect_parts.problem import (
     EXACT_BELOW,
@@ -172,6 +173,7 @@ def reference_bound(
     path is sum_t min_w G[t,w], and the sum of all r[t, w_t] may stand there.  Rounding is taken
     off, of Psi too (`problem.defect`): total(c) is not less, in exact numbers.
     """
+    check_class("problem", problem, "SelectionProblem")
     d = check_array("reference", reference, "pH", (len(problem.psi),))
     found = _certificate(problem, d, check_number("multiplier", multiplier, minimum=0))
     return found.bound, found.reduced
@@ -191,6 +193,8 @@ def check_certificate(problem: SelectionProblem, schedule: Schedule) -> float:
     ValueError if the schedule is not feasible, does not state this bound and its own cost (up to
     rounding), or a lower bound outside of them.  `Schedule.proof` says whether this is all of it.
     """
+    check_class("schedule", schedule, "Schedule")
+    check_class("problem", problem, "SelectionProblem")
     bound, _ = reference_bound(problem, schedule.reference, schedule.multiplier)
     if not problem.is_feasible(schedule.choices):
         raise ValueError("schedule.choices: expected available models within the budget")
@@ -250,8 +254,9 @@ def _at(problem: SelectionProblem, choices: Choices) -> Relaxation:
     return Relaxation(b, problem.chosen_mean(choices), cost, -math.inf, 0)
 
 
-def _stopwatch(time_limit: float | None) -> Callable[[], float]:
-    """Return a function that tells how many seconds of a limit are left."""
+def _stopwatch(problem: SelectionProblem, time_limit: float | None) -> Callable[[], float]:
+    """Return a function that tells how many seconds of a limit are left for the problem."""
+    check_class("problem", problem, "SelectionProblem")
     limit = math.inf if time_limit is None else check_number("time_limit", time_limit, minimum=0)
     end = perf_counter() + limit
     return lambda: end - perf_counter()
@@ -266,6 +271,7 @@ def enumerate_schedules(problem: SelectionProblem, *, max_schedules: int = 2**22
     Refuses more than `max_schedules`; of several optima it returns the first in lexicographic
     order, with its own mean error as reference.
     """
+    check_class("problem", problem, "SelectionProblem")
     H, W, _ = problem.mean.shape
     max_schedules = check_count("max_schedules", max_schedules)
     if W**H > max_schedules:
@@ -316,16 +322,9 @@ def solve_separable(problem: SelectionProblem) -> Schedule:
 # ------------------------------------------------------------------- solvers: the relaxation
 
 
-def _relaxation(
-    problem: SelectionProblem, form: trellis.Form, b: Array, iterations: int = 0
-) -> Relaxation:
-    """Evaluate weights b; the linear costs of `form` are infinite where a model may not be used."""
-    d, value = trellis.mixed(form.mean, b), trellis.relaxed(form, b)[0]
-    return Relaxation(b, d, value, trellis.certificate(form, d).bound, iterations)
-
-
 def _own_weights(problem: SelectionProblem, relaxation: Relaxation) -> Relaxation:
     """Evaluate a relaxation that was handed over anew, as another problem's proves nothing."""
+    check_class("relaxation", relaxation, "Relaxation")
     b = check_array("relaxation.weights", relaxation.weights, "H W", problem.mean.shape[:2])
     off = np.abs(b.sum(axis=1) - 1).max()
     if b.min() < 0 or off > 1e-9 or (b > 0)[np.isinf(problem.linear)].any():
@@ -334,7 +333,7 @@ def _own_weights(problem: SelectionProblem, relaxation: Relaxation) -> Relaxatio
             "available, found others"
         )
     if problem.form.bare:
-        return _relaxation(problem, problem.form, b, relaxation.iterations)
+        return relaxations.of_weights(problem.form, b, relaxation.iterations)
     multiplier = relaxation.multiplier if problem.budget is not None else 0.0
     d = trellis.mixed(problem.mean, b)
     bound = _certificate(problem, d, multiplier).bound
@@ -377,10 +376,11 @@ def relax(
     start = allowed / allowed.sum(axis=1, keepdims=True)
     limits = (gap, problem.rounding, max_iterations)
     b, iterations = projected_gradient(evaluate, project, start, step, *limits)
-    return _relaxation(problem, problem.form, b, iterations)
+    return relaxations.of_weights(problem.form, b, iterations)
 
 
 def _expect_bare(problem: SelectionProblem) -> None:
+    check_class("problem", problem, "SelectionProblem")
     if not problem.form.bare:
         raise ValueError("problem: expected no switching costs, no budget; use relax_by_columns")
 
@@ -412,7 +412,10 @@ def relax_interior_point(
             raise ValueError("allowed: expected an available model in every row, found none")
     gap = check_number("gap", gap, minimum=0)
     ceiling = float(check_array("ceiling", ceiling, "", (), finite=False))
-    time_left, iterations = _stopwatch(time_limit), check_count("max_iterations", max_iterations)
+    time_left, iterations = (
+        _stopwatch(problem, time_limit),
+        check_count("max_iterations", max_iterations),
+    )
     return _relax(problem, usable, gap, ceiling, time_left, iterations)
 
 
@@ -430,22 +433,11 @@ def relax_by_columns(
     Stops as `relax_interior_point` does, at the fraction `gap`, after `time_limit` seconds or
     `max_iterations`; without switching costs and a budget it is that one, slower.
     """
-    gap, time_left = check_number("gap", gap, minimum=0), _stopwatch(time_limit)
+    gap, time_left = check_number("gap", gap, minimum=0), _stopwatch(problem, time_limit)
     most = check_count("max_iterations", max_iterations)
     closed = closes(gap, problem.rounding)
     limits: dict[str, Any] = {"time_left": time_left, "max_iterations": most}
-    return _mixture(problem.form, generation.columns(problem.form, closed, **limits))
-
-
-def _mixture(form: trellis.Form, found: generation.Columns | None) -> Relaxation:
-    """Certify a mixture of schedules; where there is none, no schedule is below infinity."""
-    if found is None:
-        b = np.where(form.linear < np.inf, 1.0, 0.0)
-        b /= b.sum(axis=1, keepdims=True)
-        return Relaxation(b, trellis.mixed(form.mean, b), math.inf, math.inf, 0)
-    bound = trellis.certificate(form, found.reference, found.multiplier).bound
-    b, d, multiplier, value, iterations = found
-    return Relaxation(b, d, value, bound, iterations, multiplier)
+    return relaxations.of_mixture(problem.form, generation.columns(problem.form, closed, **limits))
 
 
 def _relax(
@@ -456,22 +448,10 @@ def _relax(
     time_left: Callable[[], float],
     max_iterations: int = 60,
 ) -> Relaxation:
-    """Relax the problem whose other models are not available, by the fastest way that does it."""
+    """Relax the problem whose other models are not available (relaxations.py)."""
     form = problem.form._replace(linear=np.where(usable, problem.linear, np.inf))
-    closed = closes(gap, problem.rounding)
     limits: dict[str, Any] = {"ceiling": ceiling, "time_left": time_left}
-    if not form.bare:
-        return _mixture(form, generation.columns(form, closed, **limits, max_iterations=300))
-
-    def evaluate(b: Array) -> tuple[float, float, Array]:
-        return trellis.relaxed(form, b)
-
-    limits["max_iterations"] = max_iterations
-    if not isinstance(form.M, np.ndarray):
-        weights = segments.relax_in_windows(form, usable, closed, **limits)
-        return _relaxation(problem, form, weights)
-    weights, steps = interior_point(form.matrix, form.mean, usable, evaluate, closed, **limits)
-    return _relaxation(problem, form, weights, steps)
+    return relaxations.fastest(form, closes(gap, problem.rounding), max_iterations, **limits)
 
 
 # -------------------------------------------------------------------- solvers: local search
@@ -489,7 +469,7 @@ def round_and_swap(
     t by D = mu[t,w] - mu[t,w_t] and the cost by 2 D'(alpha Psi mu_c)_t + D'(alpha Psi_tt)D
     + l[t,w] - l[t,w_t]; the best swap is taken, until `time_limit` seconds are over.
     """
-    return _start(problem, relaxation, _stopwatch(time_limit))
+    return _start(problem, relaxation, _stopwatch(problem, time_limit))
 
 
 def _start(
@@ -532,11 +512,12 @@ def plain_dynamic_program(problem: SelectionProblem, *, max_labels: int = 2**18)
     modelselect_parts/label_search.py.  Nothing is discarded, so there are W^H labels at the end,
     `max_labels` at most; `dynamic_program` gives the same optimum with a handful.
     """
+    check_class("problem", problem, "SelectionProblem")
     H, W, p = problem.mean.shape
     max_labels = check_count("max_labels", max_labels)
     if W**H > max_labels:
         raise ValueError(f"problem: expected at most {max_labels} labels, found {W}^{H}")
-    first = _start(problem, None, _stopwatch(None))
+    first = _start(problem, None, _stopwatch(problem, None))
     d, lam = first.reference, first.multiplier
     found = _certificate(problem, d, lam)
     triangle = triangles.factor(problem.form, found, d, lam, first.cost - found.base)
@@ -594,7 +575,7 @@ def dynamic_program(
     then due to rounding), the passes and the seconds.
     """
     max_labels = check_count("max_labels", max_labels, minimum=WIDTHS[0])
-    gap, time_left = check_number("gap", gap, minimum=0), _stopwatch(time_limit)
+    gap, time_left = check_number("gap", gap, minimum=0), _stopwatch(problem, time_limit)
     return _searched(problem, _start(problem, relaxation, time_left), gap, max_labels, time_left)
 
 
@@ -698,7 +679,7 @@ def branch_and_bound(
     not above the optimum, and its lower bound only rises.  Ends with the gap, after `time_limit`
     seconds or `max_nodes` nodes; `work["tree"]` is the list of `Node`, root first.
     """
-    time_left, started = _stopwatch(time_limit), perf_counter()
+    time_left, started = _stopwatch(problem, time_limit), perf_counter()
     most = math.inf if max_nodes is None else check_count("max_nodes", max_nodes)
     gap = check_number("gap", gap, minimum=0)
     allowed = np.isfinite(problem.linear)
@@ -809,7 +790,7 @@ def solve(
     """
     gap = check_number("gap", gap, minimum=0)
     max_labels = check_count("max_labels", max_labels, minimum=WIDTHS[0])
-    time_left = _stopwatch(time_limit)
+    time_left = _stopwatch(problem, time_limit)
     if is_separable(problem):
         return solve_separable(problem)
     relaxation = _relax(problem, np.isfinite(problem.linear), 1e-7, math.inf, time_left)
@@ -849,7 +830,7 @@ def pareto_front(
     warning says what is open.  `progress` is called with the share of the range done, up to 1.
     """
     resolution = check_number("resolution", resolution, minimum=0)
-    time_left, now = _stopwatch(time_limit), replace(problem, alpha=1.0, beta=0.0)
+    time_left, now = _stopwatch(problem, time_limit), replace(problem, alpha=1.0, beta=0.0)
     tolls = 0.0 if problem.switch_cost is None else problem.switch_cost
     prices = np.append(problem._price[np.isfinite(problem._price)], tolls)
     whole = bool((prices == np.floor(prices)).all() and np.abs(prices).max() < 2**53)

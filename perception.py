@@ -65,16 +65,18 @@ from modelselect_parts.checks import (
     Frozen,
     as_numbers,
     check_array,
+    check_class,
+    check_classes,
     check_count,
     check_name,
     check_number,
     check_range,
     check_rng,
-    check_semidefinite,
     frozen,
     shown,
 )
 from modelselect_parts.checks import Choices as Indices
+from modelselect_parts.matrices import check_semidefinite
 from modelselect_parts.measurements import (
     PathLike,
     Residuals,
@@ -249,6 +251,7 @@ def train_models(
 
 def measure_models(networks: Sequence[Network], count: int, rng: Rng) -> Residuals:
     """Measure networks on `count` new pictures: fresh data, for a second opinion."""
+    check_classes("networks", networks, "Network")
     if not len(networks):
         raise ValueError("networks: expected one or more, found none")
     scene, h, pitch = draw_views(count, rng)
@@ -265,6 +268,7 @@ def _name_models(altitude: Array, residual: Array, W: int) -> Residuals:
 
 def pack_models(trained: Trained, key: str) -> bytes:
     """Return the .npz file from which `load_models` restores `trained`, marked with `key`."""
+    check_class("trained", trained, "Trained")
     file, found = io.BytesIO(), trained.residuals
     arrays: dict[str, Any] = {"key": np.array(key), "losses": trained.losses}
     arrays |= {"altitude": found.altitude, "residual": found.residual}

@@ -1,8 +1,10 @@
 """What the three modules stand on; each room uses only rooms above it.
 
 ================= ==============================================================================
+objects           objects that nobody can change; checks of classes and names
 semidefinite      semidefinite matrices up to rounding: judged, mended, factored
 checks            the one checker of arguments, the types of array
+matrices          covariances and cost matrices as users give them
 stored            objects as JSON and back
 files             files that are written whole or not at all
 exact             floats in exact numbers
@@ -25,6 +27,7 @@ local_search      better schedules by small changes
 triangle          what a schedule costs beyond its bound, as a sum over steps
 label_search      the exact search, on bare arrays
 segments          long horizons: parts of them, each a problem of its own
+relaxations       the relaxation, by the engine that is fastest for it
 passes            the exact search pass by pass; the price of a budget
 blends            paper V: Problem 4
 suites            how models err, step by step; dropouts, latency

@@ -15,6 +15,7 @@ from modelselect_parts.checks import (
     Array,
     Frozen,
     check_array,
+    check_class,
     check_count,
     check_number,
 )
@@ -62,6 +63,7 @@ class BlendProblem(Frozen):
     best: int = -1
 
     def __post_init__(self) -> None:
+        check_class("problem", self.problem, "SelectionProblem")
         W = self.problem.mean.shape[1]
         for name in ("switch_cost", "budget", "pull"):
             if getattr(self.problem, name) is not None:
@@ -152,6 +154,7 @@ def solve_blend(blend: BlendProblem, *, gap: float = 1e-9, max_iterations: int =
     ValueError
         A `gap` or `max_iterations` out of range.
     """
+    check_class("blend", blend, "BlendProblem")
     M, g = blend.quadratic, blend.linear
     tiny = np.finfo(float).tiny
     size = np.where(M.diagonal() > tiny, M.diagonal(), np.where(np.abs(g) > tiny, np.abs(g), 1))
@@ -202,6 +205,7 @@ def sdp_blocks(blend: BlendProblem, theta: float, choices: npt.ArrayLike) -> lis
     ValueError
         A wrong shape or a number that is not finite.
     """
+    check_class("blend", blend, "BlendProblem")
     H = len(blend.linear)
     c = check_array("choices", choices, "H", (H,))
     N = semidefinite_root(blend.quadratic).T

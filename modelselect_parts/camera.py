@@ -18,6 +18,7 @@ from modelselect_parts.checks import (
     Array,
     as_numbers,
     check_array,
+    check_class,
     check_count,
     check_number,
     check_range,
@@ -208,6 +209,7 @@ def _check_altitude(altitude: npt.ArrayLike, count: int) -> Array:
 
 def _check_scene(scene: Scene) -> Scene:
     """Return the scene with its tables checked."""
+    check_class("scene", scene, "Scene")
     shapes, checked = ((6,), (6, 4), (5, 7), (4,), (8,)), []
     for name, table, shape in zip(Scene._fields, scene, shapes, strict=True):
         axes, sizes = " ".join(["N", *map(str, shape)]), (len(scene.pose), *shape)

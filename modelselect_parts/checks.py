@@ -7,46 +7,29 @@ checked twice: another weight for a large problem is free.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
-from dataclasses import fields
-from functools import partial
+from collections.abc import Sequence
 from typing import Any
 from weakref import WeakValueDictionary
 
 import numpy as np
 import numpy.typing as npt
 
-from modelselect_parts.semidefinite import EPSILON, MATRIX_TOLERANCE, judged, mended
+from modelselect_parts.objects import (
+    Frozen,
+    check_class,
+    check_classes,
+    check_name,
+    check_rng,
+    frozen,
+    shown,
+)
 
 Array = npt.NDArray[np.float64]
 Choices = npt.NDArray[np.intp]
 Mask = npt.NDArray[np.bool_]
 
 #: What was found of arrays that cannot change, such as "finite"; an entry goes with its array.
-_FACTS: WeakValueDictionary[tuple[int, str], npt.NDArray[Any]] = WeakValueDictionary()
-
-
-class Frozen:
-    """A dataclass whose copies pass its checks again, and carry no cached results."""
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        values = {f.name: getattr(self, f.name) for f in fields(self)}  # type: ignore[arg-type]
-        return partial(type(self), **values), ()
-
-    def _set(self, **checked: object) -> None:
-        for name, value in checked.items():
-            object.__setattr__(self, name, value)
-
-
-def frozen(array: npt.NDArray[Any]) -> npt.NDArray[Any]:
-    """Return a copy in memory that cannot be written to, whatever its flags are set to."""
-    return np.frombuffer(array.tobytes(), array.dtype).reshape(array.shape)
-
-
-def shown(value: object) -> str:
-    """Return `value` as it stands in a message: on one line, and not too long."""
-    text = " ".join(repr(value).split())
-    return text if len(text) <= 80 else text[:77] + "..."
+FACTS: WeakValueDictionary[tuple[int, str], npt.NDArray[Any]] = WeakValueDictionary()
 
 
 def as_numbers(name: str, value: npt.ArrayLike) -> npt.NDArray[Any]:
@@ -63,11 +46,18 @@ def as_numbers(name: str, value: npt.ArrayLike) -> npt.NDArray[Any]:
 
 
 def check_array(
-    name: str, value: npt.ArrayLike, axes: str, sizes: Sequence[int | None], *, finite: bool = True
+    name: str,
+    value: npt.ArrayLike,
+    axes: str,
+    sizes: Sequence[int | None],
+    *,
+    finite: bool = True,
+    known: str = "",
 ) -> Array:
     """Return `value` as frozen floats of the given axes, such as ``"H W p"``, none of them NaN.
 
-    `sizes` holds a length for each axis, or None; a leading ``...`` admits axes in front.
+    `sizes` holds a length for each axis, or None; a leading ``...`` admits axes in front.  Where
+    lengths are `known` from other arguments, messages say from which.
     """
     raw, letters = as_numbers(name, value), tuple(axes.replace("...", "").split())
     front = ("...",) if "..." in axes else ()
@@ -75,16 +65,30 @@ def check_array(
     right = len(last) == len(letters) and all(map(lambda k, n: k in (None, n), sizes, last))
     if not right or 0 in raw.shape:
         sized = tuple(map(lambda axis, k: axis if k is None else str(k), letters, sizes))
-        expected = f"{front + letters} = {front + sized}".replace("'", "")
-        raise ValueError(f"{name}: expected shape {expected}, found {raw.shape}")
-    fact = "finite" if finite else "without NaN"
-    if _FACTS.get((id(raw), fact)) is raw:
+        expected = f"{front + letters} = {front + sized}".replace("'", "") + known
+        flat = len(letters) == 2 and raw.ndim == 1 and sizes[1] is None
+        column = f"; a single column has shape ({len(raw)}, 1)" if flat and len(raw) else ""
+        raise ValueError(f"{name}: expected shape {expected}, found {raw.shape}{column}")
+    fact = "finite" if finite else "finite or infinite"
+    if FACTS.get((id(raw), fact)) is raw:
         return raw
     array = frozen(np.asarray(raw, dtype=np.float64))
-    if np.isnan(array).any() or (finite and np.isinf(array).any()):
-        raise ValueError(f"{name}: expected finite numbers, found NaN or infinity")
-    _FACTS[id(array), fact] = array
+    bad = ~np.isfinite(array) if finite else np.isnan(array)
+    if bad.any():
+        where = _place(letters, np.argwhere(bad)[0])
+        raise ValueError(f"{name}: expected {fact} numbers, found {array[bad][0]}{where}")
+    FACTS[id(array), fact] = array
     return array
+
+
+def _place(letters: Sequence[str], index: npt.NDArray[np.intp]) -> str:
+    """Return where an entry stands, in words where its axes have some."""
+    words = {"H": "step", "W": "model", "p": "component", "t": "step"}
+    if not len(index):
+        return ""
+    if len(letters) == len(index) and set(letters) <= set(words):
+        return " at " + ", ".join(f"{words[x]} {i}" for x, i in zip(letters, index, strict=True))
+    return f" at {index.tolist()}"
 
 
 def check_number(name: str, value: Any, *, minimum: float = -np.inf) -> float:
@@ -111,39 +115,9 @@ def check_choices(choices: npt.ArrayLike, H: int | None, W: int) -> Choices:
     return c.astype(np.intp)
 
 
-def check_rng(rng: object) -> np.random.Generator:
-    """Return `rng` if it is a generator."""
-    if not isinstance(rng, np.random.Generator):
-        raise ValueError(f"rng: expected numpy.random.default_rng(seed), found {shown(rng)}")
-    return rng
-
-
 def check_range(name: str, array: Array, top: float = np.inf) -> None:
     """Refuse an entry below 0 or above `top`."""
     if array.min() < 0:
         raise ValueError(f"{name}: expected numbers >= 0, found {array.min():g}")
     if array.max() > top:
         raise ValueError(f"{name}: expected numbers of size <= {top:g}, found {array.max():g}")
-
-
-def check_name(argument: str, name: object, known: Collection[str]) -> None:
-    """Refuse a name that is not among those that are known."""
-    if not isinstance(name, str) or name not in known:
-        raise ValueError(f"{argument}: expected one of {', '.join(known)}, found {shown(name)}")
-
-
-def check_semidefinite(name: str, matrices: Array, *, definite: bool = False) -> Array:
-    """Return symmetric positive semidefinite, or definite, `matrices` (..., k, k), mended."""
-    fact, k = "definite" if definite else "semidefinite", matrices.shape[-1]
-    if _FACTS.get((id(matrices), fact)) is matrices:
-        return matrices
-    skew, least = judged(matrices)
-    if skew > MATRIX_TOLERANCE:
-        found = f"asymmetry {skew:.3g}; symmetrise it first: ({name} + {name}.T) / 2"
-        raise ValueError(f"{name}: expected a symmetric matrix, found {found}")
-    if least <= (10 * EPSILON if definite else -MATRIX_TOLERANCE) * k:
-        found = f"smallest eigenvalue {least:.3g} (of the matrix scaled to unit diagonal)"
-        raise ValueError(f"{name}: expected a positive {fact} matrix, found {found}")
-    result = check_array(name, mended(matrices, skew, least), "...", ())
-    _FACTS[id(result), fact] = result
-    return result

@@ -40,8 +40,9 @@ from modelselect_parts.checks import (
     as_numbers,
     check_array,
     check_choices,
-    check_semidefinite,
+    check_class,
 )
+from modelselect_parts.matrices import check_semidefinite
 from modelselect_parts.problem import SelectionProblem
 from modelselect_parts.semidefinite import EPSILON, MATRIX_TOLERANCE, judged
 
@@ -108,6 +109,7 @@ def correlated_cost(
     (H, W, H, W) where p = 1; or a function: covariance(t, w, k, v), (p, p) or a number where p = 1,
     is that of model w's error at step t with model v's at step k.
     """
+    check_class("problem", problem, "SelectionProblem")
     H, W, p = problem.mean.shape
     c, Psi = check_choices(choices, H, W), np.asarray(problem.psi)
     used, place = np.unique(np.arange(H) * W + c.reshape(-1, H), return_inverse=True)
@@ -133,6 +135,7 @@ def correlated_problem(problem: SelectionProblem, covariance: Covariance) -> Sel
     g is: it takes as much as leaves Psi' semidefinite and becomes `pull`, beside what the problem's
     own pull makes of the mean errors.
     """
+    check_class("problem", problem, "SelectionProblem")
     H, W, p = problem.mean.shape
     joint = _joint(problem, covariance, *np.divmod(np.arange(H * W), W))
     mu, Psi = problem.mean.ravel(), np.asarray(problem.psi).reshape(2 * (H, p))

@@ -21,8 +21,8 @@ from modelselect_parts.checks import (
     as_numbers,
     check_array,
     check_range,
-    check_semidefinite,
 )
+from modelselect_parts.matrices import check_semidefinite
 
 
 def persistent_bias(

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modelselect_parts.checks import Array
+from modelselect_parts.checks import Array, check_class
 from modelselect_parts.problem import SelectionProblem
 
 
@@ -29,6 +29,7 @@ def error_cost(problem: SelectionProblem) -> ErrorCost:
     either way.  bias + noise is the control term, unweighted and without a pull; uncoupled alone
     is what greedy selection sees.
     """
+    check_class("problem", problem, "SelectionProblem")
     H, W, _ = problem.mean.shape
     always = np.repeat(np.arange(W)[:, None], H, axis=1)
     noise = problem.spread.sum(axis=0)

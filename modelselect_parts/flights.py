@@ -30,6 +30,8 @@ from modelselect_parts.checks import (
     Choices,
     check_array,
     check_choices,
+    check_class,
+    check_classes,
     check_count,
     check_name,
     check_range,
@@ -116,6 +118,7 @@ def model_cost(networks: Sequence[Network], cost: str) -> Array:
 
     The first if `cost` is ``linear``, the second if ``counted``.
     """
+    check_classes("networks", networks, "Network")
     check_name("cost", cost, COSTS)
     if not len(networks):
         raise ValueError("networks: expected one or more, found none")
@@ -137,6 +140,8 @@ def fit_landing(
 
     With `guard`, its upper confidence bounds; the `cost` (W,) is passed on to `fit_suite`.
     """
+    check_class("landing", landing, "Aircraft")
+    check_class("measured", measured, "Residuals")
     h = landing.path[:-1]
     suite = fit_suite(measured, h, cost, bins=altitude_bins(measured.altitude, h, bins))
     return guard_suite(suite) if guard else suite
@@ -180,6 +185,7 @@ def fly(
     s is (trials, H, p), errors of all models are (trials, H, W, p), choices (H,), (trials, H), or
     None for estimates without error; `information` is a pattern.
     """
+    check_class("landing", landing, "Aircraft")
     task = landing.task
     s = check_array("s", s, "trials H p", (None, task.horizon, task.p))
     errors = check_array("errors", errors, "trials H W p", (*s.shape[:2], None, task.p))

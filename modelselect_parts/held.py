@@ -21,7 +21,14 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
-from modelselect_parts.checks import Array, Choices, check_array, check_choices, check_count
+from modelselect_parts.checks import (
+    Array,
+    Choices,
+    check_array,
+    check_choices,
+    check_class,
+    check_count,
+)
 from modelselect_parts.problem import SelectionProblem
 
 
@@ -32,6 +39,7 @@ def hold(problem: SelectionProblem, steps: int) -> SelectionProblem:
     available where it is at all k steps.  Weights, switching costs, the first model and the budget
     stay.  Psi of a linear system becomes its matrix.
     """
+    check_class("problem", problem, "SelectionProblem")
     H, W, p = problem.mean.shape
     k = check_count("steps", steps)
     N = -(-H // k)

@@ -23,6 +23,7 @@ from modelselect_parts.checks import (
     Mask,
     as_numbers,
     check_array,
+    check_class,
     frozen,
     shown,
 )
@@ -329,6 +330,7 @@ def _report_repeated(path: PathLike, rows: list[tuple[str, ...]], missed: Mask) 
 
 def write_residuals(path: PathLike, residuals: Residuals) -> None:
     """Write the file at `path` from which `read_residuals` restores them to the last digit."""
+    check_class("residuals", residuals, "Residuals")
     header = ["model", *residuals.variables, *(residuals.components or ())]
     names = [residuals.names[w] for w in residuals.model]
     numbers = np.column_stack([residuals.altitude, residuals.residual]).tolist()

@@ -20,7 +20,15 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from modelselect_parts.checks import Array, check_array, check_count, check_range, check_rng
+from modelselect_parts.checks import (
+    Array,
+    check_array,
+    check_class,
+    check_classes,
+    check_count,
+    check_range,
+    check_rng,
+)
 
 Single = npt.NDArray[np.float32]
 LARGEST = 1e15  # squares of numbers up to here do not overflow in single precision
@@ -164,6 +172,7 @@ def forward(layers: Sequence[Layer], pictures: npt.ArrayLike) -> tuple[Single, l
 
     Light and contrast are removed first: each picture gets mean 0 and deviation about 1.
     """
+    check_classes("layers", layers, "Layer")
     return _forward(layers, _check_pictures(pictures))
 
 
@@ -198,6 +207,7 @@ def gradients(
 
     which adds up where windows overlap, and max(0, x) passes on what was positive.
     """
+    check_classes("layers", layers, "Layer")
     output, seen = forward(layers, pictures)
     wanted = check_array("target", target, "N", output.shape)
     check_range("target", abs(wanted), LARGEST)
@@ -256,6 +266,7 @@ def train_network(
     Batches of about 32 are turned or mirrored at random, as the ground has no upright; the step
     rises to 0.003 in the first epoch, and falls to 0 along a cosine.
     """
+    check_class("network", network, "Network")
     passes, pictures = check_count("epochs", epochs), _check_pictures(pictures, network.side)
     target = network.reach.encode(altitude, len(pictures))
     check_rng(rng)

@@ -19,7 +19,8 @@ import numpy as np
 import numpy.typing as npt
 import scipy.linalg as la
 
-from modelselect_parts.checks import Array, as_numbers, check_array, check_semidefinite
+from modelselect_parts.checks import Array, as_numbers, check_array, check_class
+from modelselect_parts.matrices import check_semidefinite
 from modelselect_parts.task import ControlTask
 
 
@@ -42,6 +43,7 @@ def kalman_gains(
     `solve_discrete_are`, at every step, the first included; refused if there is none.  Where one of
     them varies they are the recursion's, from a known initial state: P_0^- = 0, so Gamma_0 = 0.
     """
+    check_class("task", task, "ControlTask")
     W = _covariance(task, "process_noise", process_noise, "n")
     V = _covariance(task, "measurement_noise", measurement_noise, "p")
     sees = np.asarray(np.linalg.pinv(task.C), dtype=float)

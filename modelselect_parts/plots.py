@@ -19,7 +19,7 @@ import modelselect as ms
 import perception
 from modelselect import Array, ControlTask, Schedule
 from modelselect_parts import figures, flights
-from modelselect_parts.checks import check_count
+from modelselect_parts.checks import check_class, check_count
 from modelselect_parts.files import write_atomically
 from modelselect_parts.flights import root_mean_square
 from modelselect_parts.rivals import Front, pareto
@@ -35,6 +35,7 @@ def _estimates(result: Result, quantity: str) -> Array:
 
 def plot_schedule(result: Result) -> Figure:
     """Draw the optimal schedule, and how much each step matters (``fig:simulation_ms``)."""
+    check_class("result", result, "Result")
     choices, title = result.optimal.choices, f"Optimal schedule ({result.settings.information})"
     matters = result.problem.psi.diagonal().reshape(len(choices), -1).sum(axis=1)
     return figures.draw_schedule(choices, result.suite.names, matters, title, result.landing.dt)
@@ -48,12 +49,14 @@ def _axis(result: Result) -> str:
 
 def plot_costs(result: Result) -> Figure:
     """Draw perception against control cost, with 95% intervals (``fig:simulation_CvL``)."""
+    check_class("result", result, "Result")
     paid, control = _estimates(result, "perception_cost"), _estimates(result, "control_cost")
     return figures.draw_costs(list(result.flights), paid, control, _axis(result))
 
 
 def plot_rewards(result: Result) -> Figure:
     """Draw the rewards with 95% intervals, the best on top (``fig:simulation_rwd``)."""
+    check_class("result", result, "Result")
     return figures.draw_rewards(list(result.flights), _estimates(result, "reward"))
 
 
@@ -62,6 +65,7 @@ def plot_pareto(result: Result, optima: Sequence[Schedule] | None = None) -> Fig
 
     In expectation, as control cost beyond that of perfect perception; `optima` are of `pareto`.
     """
+    check_class("result", result, "Result")
     problem = result.problem
     optima = pareto(problem)[1] if optima is None else optima
     fixed = {k: f.choices for k, f in result.flights.items() if k not in ("Oracle", "Clairvoyant")}
@@ -74,6 +78,7 @@ def plot_pareto(result: Result, optima: Sequence[Schedule] | None = None) -> Fig
 
 def plot_front(result: Result) -> Figure:
     """Draw all Pareto points of a result that has them, and the constant schedules."""
+    check_class("result", result, "Result")
     front: Front | None = result.front
     if front is None:
         raise ValueError("result: expected one with a front, found none")
@@ -86,6 +91,7 @@ def plot_front(result: Result) -> Figure:
 
 def plot_landing(result: Result) -> Figure:
     """Draw altitude over time: mean, and band of 90% of trials (``fig:simulation_traj_h``)."""
+    check_class("result", result, "Result")
     altitude = {policy: flown.altitude for policy, flown in result.flights.items()}
     time = result.landing.dt * np.arange(result.settings.horizon + 1)
     return figures.draw_landings(time, altitude, result.landing.unit)
@@ -99,6 +105,7 @@ def plot_efficientnet() -> Figure:
 
 def plot_psi(task: ControlTask) -> Figure:
     """Draw |Psi| of a task under all information patterns, on one logarithmic scale of colours."""
+    check_class("task", task, "ControlTask")
     return figures.draw_sensitivities(ms.INFORMATION, flights.sensitivities(task))
 
 
@@ -111,6 +118,7 @@ def plot_gallery(seed: int = 0) -> Figure:
 
 def plot_accuracy(trained: Trained) -> Figure:
     """Draw held-out error against size, with 95% intervals (``fig:all_mod_acc``)."""
+    check_class("trained", trained, "Trained")
     error = np.array(list(map(root_mean_square, flights.by_network(trained.residuals)[1])))
     parameters = np.array([network.parameters for network in trained.networks])
     return figures.draw_accuracy(trained.residuals.names, parameters, error)
@@ -118,6 +126,7 @@ def plot_accuracy(trained: Trained) -> Figure:
 
 def plot_distribution(trained: Trained, model: int = -1) -> Figure:
     """Draw the errors of a `model` against altitude (``fig:airsim_distro_b7``)."""
+    check_class("trained", trained, "Trained")
     names, (altitude, errors) = trained.residuals.names, flights.by_network(trained.residuals)
     if not check_count("model", model, minimum=-len(names)) < len(names):
         raise ValueError(f"model: expected one of {len(names)}, found {model}")
@@ -126,16 +135,19 @@ def plot_distribution(trained: Trained, model: int = -1) -> Figure:
 
 def plot_training(trained: Trained) -> Figure:
     """Draw the training error of each model by epoch (``fig:b7_training_plot``)."""
+    check_class("trained", trained, "Trained")
     return figures.draw_training(trained.residuals.names, SPREAD * np.sqrt(trained.losses))
 
 
 def plot_quantiles(trained: Trained) -> Figure:
     """Draw quantiles of standardised errors against normal ones: straight if normal."""
+    check_class("trained", trained, "Trained")
     return figures.draw_quantiles(trained.residuals.names, *flights.by_network(trained.residuals))
 
 
 def write_figures(result: Result, folder: Path, *, progress: bool = False) -> None:
     """Write every figure to `folder` as PNG; the same run gives the same bytes."""
+    check_class("result", result, "Result")
     drawn = {
         "schedule": plot_schedule(result),
         "costs": plot_costs(result),

@@ -22,12 +22,13 @@ from modelselect_parts.checks import (
     as_numbers,
     check_array,
     check_choices,
+    check_class,
     check_count,
     check_number,
     check_range,
-    check_semidefinite,
     frozen,
 )
+from modelselect_parts.matrices import check_semidefinite
 from modelselect_parts.sensitivity import Sensitivity
 from modelselect_parts.stored import Stored
 
@@ -143,7 +144,7 @@ class SelectionProblem(Stored):
             p = Psi.own.shape[2]
         else:
             Psi = as_numbers("psi", Psi)
-            Psi = check_array("psi", Psi, "pH pH", 2 * (Psi.shape[-1:] or (None,)))
+            Psi = check_array("psi", Psi, "pH pH", 2 * ((Psi.shape[-1:] or (None,))[0] or None,))
             p = shape[-1] if len(shape) == 3 and shape[-1] and len(Psi) % shape[-1] == 0 else 1
         mean = check_array("mean", self.mean, "H W p", (len(Psi) // p, None, p))
         H, W, _ = mean.shape
@@ -152,12 +153,17 @@ class SelectionProblem(Stored):
         axes = "H W" if raw["model_cost"].ndim == 2 else "W"
         sizes = (H, W)[-len(axes.split()) :]
         cost = check_array("model_cost", self.model_cost, axes, sizes, finite=False)
-        if np.isneginf(cost).any() or np.isinf(cost).all(axis=-1).any():
-            raise ValueError("model_cost: expected a finite cost at every step, found none or -inf")
+        if np.isneginf(cost).any():
+            raise ValueError("model_cost: expected numbers above -inf, found -inf")
+        if (none := np.isinf(np.atleast_2d(cost)).all(axis=-1)).any():
+            found = f"none at step {none.argmax()}" if cost.ndim == 2 else "none"
+            raise ValueError(
+                f"model_cost: expected an available model at every step, found {found}"
+            )
         if isinstance(Psi, np.ndarray):
-            Psi = check_semidefinite("psi", Psi)
+            Psi = check_semidefinite("psi", Psi, given=self.psi)
         if variance.ndim == 4:
-            variance = check_semidefinite("variance", variance)
+            variance = check_semidefinite("variance", variance, given=self.variance)
         else:
             check_range("variance", variance)
         weights = {
@@ -182,6 +188,8 @@ class SelectionProblem(Stored):
         suite whose models sometimes gave nothing (`miss_rate`) says how they err when they do not,
         which is too good: `perception.with_dropouts` adds what happens then.
         """
+        if not all(hasattr(suite, name) for name in ("mean", "variance", "cost")):
+            raise ValueError(f"suite: expected PerceptionSuite, found {type(suite).__name__}")
         rate = getattr(suite, "miss_rate", None)
         if rate is not None and np.any(rate):
             left_out = "suite: looks that gave nothing are left out; see with_dropouts"
@@ -394,6 +402,7 @@ class SelectionProblem(Stored):
 
 def stepwise_cost(problem: SelectionProblem) -> Array:
     """Cost (H, W) of each model at each step alone: alpha mu'Psi_tt mu + l, coupling ignored."""
+    check_class("problem", problem, "SelectionProblem")
     weighed = problem.alpha * problem.blocks
     own = np.einsum("twi,tij,twj->tw", problem.mean, weighed, problem.mean)
     return np.asarray(own + problem.linear)
@@ -401,6 +410,7 @@ def stepwise_cost(problem: SelectionProblem) -> Array:
 
 def is_separable(problem: SelectionProblem) -> bool:
     """Whether steps meet neither through Psi nor through switching costs or a budget."""
+    check_class("problem", problem, "SelectionProblem")
     H, _, p = problem.mean.shape
     felt = (problem.mean != 0).any(axis=1).ravel() & (problem.alpha != 0)
     if isinstance(problem.psi, Sensitivity):

@@ -33,7 +33,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from modelselect_parts.checks import Array, as_numbers, check_array, check_name
+from modelselect_parts.checks import Array, as_numbers, check_array, check_class, check_name
 from modelselect_parts.task import ControlTask, Riccati, control_cost, riccati  # noqa: F401
 
 PSI_TOLERANCE = 3e-10  # of sqrt(Psi_ii Psi_jj), between two ways of rounding; 1e-9 is promised
@@ -246,6 +246,7 @@ def psi(
     array([[0.9, 0. ],
            [0. , 0.5]])
     """
+    check_class("task", task, "ControlTask")
     observer = observer_of(task, information, gains)
     Psi = _squared_regret(task, information, observer)
     if not np.isfinite(Psi).all():
@@ -296,6 +297,7 @@ def in_other_units(
 
 def preview_regret(task: ControlTask, errors: npt.ArrayLike) -> Any:
     """e' Psi e of the ``preview`` pattern without Psi, for `errors` (..., H, p): O(H n^2) each."""
+    check_class("task", task, "ControlTask")
     e = check_array("errors", errors, "... H p", (task.horizon, task.p))
     rows = _regret_rows(task, "preview", _columns(e))
     with np.errstate(over="ignore", invalid="ignore"):
@@ -319,6 +321,7 @@ def prior_pull(
     itself: |Y e + y|^2 - |y|^2, where y is what m adds to the rows Y of `psi`, so g = 2 Y'y.
     Of patterns that remember: ``filter`` with its `gains` (n, p) or (H, n, p), and ``open_loop``.
     """
+    check_class("task", task, "ControlTask")
     observer = observer_of(task, information, gains)
     H, p = task.horizon, task.p
     m = check_array("prior_error", prior_error, "n", (task.n,))[:, None]
@@ -409,6 +412,7 @@ def run_controller(
     zero.  Who means by s what they measure of the state pushes the robot by its own state, and is
     warned if that is plain from the numbers: s = 0 and s_hat = the errors is what they mean.
     """
+    check_class("task", task, "ControlTask")
     check_information(information)
     H, n, p, row = task.horizon, task.n, task.p, PATTERNS[information]
     x = check_array("x0", x0, "n", (n,))
@@ -477,4 +481,5 @@ def plan(task: ControlTask, x0: npt.ArrayLike, s: npt.ArrayLike) -> Array:
     While a forecast is right, planning once and feeding back the state give the same controls, so
     we run the feedback law on the forecast.
     """
+    check_class("task", task, "ControlTask")
     return run_controller(task, x0, s, s, "preview")[1]

@@ -22,6 +22,7 @@ from modelselect_parts.checks import (
     Mask,
     as_numbers,
     check_array,
+    check_class,
     check_count,
     check_name,
     check_number,
@@ -104,6 +105,8 @@ def fit_suite(
     """
     table = as_residuals(residuals)
     price, seen = _prices(table, cost), _seen(table)
+    if kernel is not None:
+        check_class("kernel", kernel, "Kernel")
     axes, everywhere = _along(seen, trajectory), _along(table, trajectory)
     if kernel is None:
         mean, S, n, used = _bin_moments(seen, axes, bins)
@@ -138,6 +141,7 @@ def bootstrap_errors(
     axes, N = _along(residuals, trajectory), check_count("trials", trials)
     r = _errors(residuals)
     if kernel is not None:
+        check_class("kernel", kernel, "Kernel")
         r, weighed = _relate(r, axes, kernel), _weights(residuals, axes, kernel)
         H, W = len(_path_of(axes)), len(residuals.names)
         drawn = np.empty((N, H, W, r.shape[1]))
@@ -163,6 +167,7 @@ def guard_suite(suite: PerceptionSuite, level: float = 0.95) -> PerceptionSuite:
     trusts no model because of luck with few residuals.  Where Psi couples steps, a larger bias may
     cancel another: no bound on the cost.
     """
+    check_class("suite", suite, "PerceptionSuite")
     if suite.sample_size is None or suite.standard_error is None or suite.sample_size.min() < 2:
         raise ValueError("suite: expected one measured on 2 residuals or more, found another")
     spread = suite.variance if suite.variance.ndim == 3 else np.einsum("twii->twi", suite.variance)

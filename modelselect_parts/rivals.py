@@ -22,6 +22,7 @@ from modelselect_parts import trellis
 from modelselect_parts.checks import (
     Mask,
     check_choices,
+    check_class,
     check_count,
     check_number,
     check_rng,
@@ -68,6 +69,7 @@ def policies(
     All keep a budget: Greedy and Random decide among the models after which the rest can still be
     paid for, and a constant schedule that cannot keep it is left out.
     """
+    check_class("problem", problem, "SelectionProblem")
     H, W, _ = problem.mean.shape
     constant = np.repeat(np.arange(W)[:, None], H, axis=1)
     cost = np.where(problem.is_feasible(constant), problem.total_cost(constant), np.inf)
@@ -101,6 +103,7 @@ def pareto(
     exceeds P- by at most r C-: so r = 0.01 (P+ - P-) / C- to 100 (P+ - P-) / C+ reaches both
     ends to 1%.  Weighted sums find the corners of the front's convex hull, nothing in between.
     """
+    check_class("problem", problem, "SelectionProblem")
     points = check_count("points", points)
     ends = [ms.solve(replace(problem, alpha=a, beta=1 - a)).choices for a in (1.0, 0.0)]
     (least, most), (dear, cheap) = problem.control_term(ends), problem.perception_term(ends)
@@ -122,6 +125,7 @@ class Front(NamedTuple):
 
 def whole_front(problem: SelectionProblem, seconds: float, *, progress: bool = False) -> Front:
     """Find all Pareto points that `pareto_front` proves in so many `seconds`."""
+    check_class("problem", problem, "SelectionProblem")
     seconds = check_number("seconds", seconds, minimum=0)
     bar, done = iter(perception.with_bar(range(100), "All Pareto points", progress)), 0
 

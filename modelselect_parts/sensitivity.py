@@ -35,7 +35,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from modelselect_parts.checks import Array, check_array, check_number, frozen
+from modelselect_parts.checks import Array, check_array, check_class, check_number, frozen
 from modelselect_parts.regulator import (
     PATTERNS,
     PSI_TOLERANCE,
@@ -208,6 +208,7 @@ def sensitivity(
     ``open_loop``, for which there is `psi`; or where Psi is out of reach of double precision: a
     product with it changes with the units of the states.
     """
+    check_class("task", task, "ControlTask")
     observer = observer_of(task, information, gains)
     with np.errstate(over="ignore", invalid="ignore"):
         plain = _in_felt_states(*_beliefs(task, information, observer))

@@ -19,16 +19,17 @@ from modelselect_parts.checks import (
     Frozen,
     as_numbers,
     check_array,
+    check_class,
     check_count,
     check_name,
     check_number,
     check_range,
     check_rng,
-    check_semidefinite,
     frozen,
     shown,
 )
 from modelselect_parts.checks import Choices as Indices
+from modelselect_parts.matrices import check_semidefinite
 
 Rng = np.random.Generator
 LARGEST = 1e150  # squares of numbers up to here do not overflow
@@ -60,14 +61,15 @@ class PerceptionSuite(Frozen):
         shape = ("H W p p", (H, W, p, p)) if variance.ndim == 4 else ("H W p", (H, W, p))
         variance = check_array("variance", variance, *shape)
         if variance.ndim == 4:
-            variance = check_semidefinite("variance", variance)
+            variance = check_semidefinite("variance", variance, given=self.variance)
         else:
             check_range("variance", variance)
         cost = check_array("cost", priced(self.cost, names), "...", (), finite=False)
         width = ("H W", (H, W)) if cost.ndim == 2 else ("W", (W,))
         cost = check_array("cost", cost, *width, finite=False)
-        if np.isneginf(cost).any() or np.isinf(np.atleast_2d(cost)).all(axis=1).any():
-            raise ValueError("cost: expected a finite cost at every step, found none or -inf")
+        if np.isneginf(cost).any() or (none := np.isinf(np.atleast_2d(cost)).all(axis=1)).any():
+            found = "-inf" if np.isneginf(cost).any() else f"none at step {none.argmax()}"
+            raise ValueError(f"cost: expected a finite cost at every step, found {found}")
         self._set(names=names, mean=mean, variance=variance, cost=cost)
         if self.sample_size is not None:
             size = check_whole("sample_size", self.sample_size, "H W", (H, W), 2**53)
@@ -100,6 +102,7 @@ def sample_errors(suite: PerceptionSuite, trials: int, rng: Rng) -> Array:
     e = mean + F z with z standard normal and F F' the covariance within a step.  F is its
     symmetric square root, which exists for a singular covariance as well.
     """
+    check_class("suite", suite, "PerceptionSuite")
     N = check_count("trials", trials)
     z = check_rng(rng).standard_normal((N, *suite.mean.shape))
     if suite.variance.ndim == 3:
@@ -135,6 +138,7 @@ def with_dropouts(
     fallback has no memory.  To *hold* the last estimate is no such fallback: then errors correlate
     across steps, which no suite can say.  Guard first: the result is no longer a measured one.
     """
+    check_class("suite", suite, "PerceptionSuite")
     mu, (H, W, p) = suite.mean, suite.mean.shape
     q = _of_models("probability", probability, H, W)
     check_range("probability", q, 1)
@@ -187,6 +191,7 @@ def with_latency(
     correlate: by v times the overlap of their delays, which a suite cannot say and this ignores
     (`correlated_cost` takes it).  Guard first: the result is no longer a measured one.
     """
+    check_class("suite", suite, "PerceptionSuite")
     H, W, p = suite.mean.shape
     delta = _of_models("delay", delay, H, W)
     check_range("delay", delta)

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -23,9 +23,11 @@ from modelselect_parts.checks import (
     Frozen,
     as_numbers,
     check_array,
+    check_class,
     check_count,
-    check_semidefinite,
+    check_number,
 )
+from modelselect_parts.matrices import check_semidefinite
 from modelselect_parts.semidefinite import MATRIX_TOLERANCE, judged, semidefinite_root
 
 # ------------------------------------------------------------------------------------ the task
@@ -91,23 +93,67 @@ class ControlTask(Frozen):
         shapes = {"A": "n n", "B": "n m", "C": "n p", "Q": "n n", "R": "m m"}
         shapes |= {} if self.N is None else {"N": "n m"}
         raw = {name: as_numbers(name, getattr(self, name)) for name in shapes}
-        n, m, p = ((raw[name].shape[-1:] or (None,))[0] or None for name in "ABC")
         H = check_count("horizon", self.horizon)
-        sizes = {"H": H, "n": n, "m": m, "p": p}
+        sizes: dict[str, int | None] = {"H": H, "n": None, "m": None, "p": None}
+        source = {"n": "A", "m": "B"}
         checked: dict[str, Any] = {"horizon": H}
         for name, axes in shapes.items():
             axes = "H " + axes if raw[name].ndim == 3 else axes
+            if name == "A":  # which must be square
+                sizes["n"] = (raw[name].shape[-1:] or (None,))[0] or None
             lengths = [sizes[letter] for letter in axes.split()]
-            checked[name] = check_array(name, getattr(self, name), axes, lengths)
+            told = [f"{x} = {sizes[x]} as of {source[x]}" for x in "nm" if x in axes and sizes[x]]
+            known = f" ({', '.join(told)})" if told and name != "A" else ""
+            value = getattr(self, name)
+            checked[name] = check_array(name, value, axes, lengths, known=known)
+            sizes[axes[-1]] = checked[name].shape[-1]
         if self.Q_final is None and checked["Q"].ndim == 3:
             raise ValueError("Q_final: required when Q varies with time, found None")
         final = checked["Q"] if self.Q_final is None else self.Q_final
-        checked["Q_final"] = check_array("Q_final", final, "n n", (n, n))
+        checked["Q_final"] = check_array("Q_final", final, "n n", 2 * (sizes["n"],))
         for name in ("Q", "Q_final", "R"):
-            checked[name] = check_semidefinite(name, checked[name], definite=name == "R")
+            given, definite = getattr(self, name), name == "R"
+            given = self.Q if given is None else given
+            checked[name] = check_semidefinite(name, checked[name], definite=definite, given=given)
         if self.N is not None:
             _check_cross(checked["N"], checked["Q"], checked["R"])
         self._set(**checked)
+
+    @classmethod
+    def from_statespace(
+        cls,
+        system: Any,
+        C: npt.ArrayLike,
+        Q: npt.ArrayLike,
+        R: npt.ArrayLike,
+        horizon: int,
+        Q_final: npt.ArrayLike | None = None,
+        *,
+        N: npt.ArrayLike | None = None,
+        dt: float | None = None,
+    ) -> Self:
+        """Take A and B of a plant (scipy.signal, python-control), all else as above.
+
+        `system` is discrete, or continuous, x' = Ax + Bu + Cs, and is then sampled every `dt`
+        seconds, u and s held in between (zero-order hold); a `dt` that a discrete one does not have
+        is refused.  Its own output matrix is not our C and plays no part.
+        """
+        A, B = _plant(system)
+        cost: dict[str, Any] = {"Q": Q, "R": R, "horizon": horizon, "Q_final": Q_final, "N": N}
+        if step := _step(system):
+            if dt is not None and (step is True or not abs(step - dt) <= 1e-9 * abs(dt)):
+                raise ValueError(f"dt: expected that of the discrete system, {step}, found {dt}")
+            return cls(A, B, C, **cost)  # type: ignore[arg-type]
+        if dt is None or not (sample := check_number("dt", dt)) > 0:
+            raise ValueError(f"dt: expected a step > 0 for a continuous system, found {dt}")
+        n, (_, m) = len(A), B.shape
+        both = np.hstack([B, check_array("C", C, "n p", (n, None), known=f" (n = {n} as of A)")])
+        k = both.shape[1]
+        with np.errstate(over="ignore", invalid="ignore"):  # Van Loan 1978
+            held = la.expm(sample * np.block([[A, both], [np.zeros((k, n + k))]]))
+        if not np.isfinite(held).all():
+            raise ValueError(f"dt: expected a step in which the plant stays finite, found {dt}")
+        return cls(held[:n, :n], held[:n, n : n + m], held[:n, n + m :], **cost)
 
     @property
     def n(self) -> int:
@@ -143,6 +189,22 @@ class ControlTask(Frozen):
         return _square_root_recursion(self)
 
 
+def _plant(system: Any) -> tuple[Array, Array]:
+    """Return A (n, n) and B (n, m) of a state-space system."""
+    if not all(hasattr(system, name) for name in ("A", "B", "dt")):
+        found = type(system).__name__
+        raise ValueError(f"system: expected a StateSpace with A, B and dt, found {found}")
+    A = check_array("system.A", system.A, "n n", 2 * (np.shape(system.A)[-1:] or (None,)))
+    return A, check_array("system.B", system.B, "n m", (len(A), None))
+
+
+def _step(system: Any) -> Any:
+    """Return a system's step: 0 if it is continuous, True if it is discrete and does not say."""
+    if system.dt is None and not type(system).__module__.startswith("scipy"):
+        raise ValueError("system: expected one with a time base, found dt = None")
+    return system.dt or 0
+
+
 def _check_cross(N: Array, Q: Array, R: Array) -> None:
     """Refuse N unless x'Qx + 2x'Nu + u'Ru >= 0 for all x and u, at every step."""
     lead = np.broadcast_shapes(*(M.shape[:-2] for M in (N, Q, R)))
@@ -160,6 +222,7 @@ def control_cost(task: ControlTask, states: npt.ArrayLike, controls: npt.ArrayLi
     or an array of the leading axes.  A task with N adds sum_{t=0}^{H-1} 2 x_t'N_t u_t, with x_0.
     Who follows a reference gives states less the reference.
     """
+    check_class("task", task, "ControlTask")
     H = task.horizon
     x = check_array("states", states, "... H+1 n", (H + 1, task.n))
     u = check_array("controls", controls, "... H m", (H, task.m))
@@ -276,6 +339,7 @@ def riccati(task: ControlTask) -> Riccati:
     Refused if the cost-to-go overflows, as some growing mode is out of the control's reach; or if
     R is lost in rounding beside B'PB, so that nothing tells redundant controls apart.
     """
+    check_class("task", task, "ControlTask")
     A, B, _, Q, R = task.over_time()
     F, G, push, cross, rest, left, _ = (np.array(part) for part in zip(*task._roots, strict=True))
     transposed = np.swapaxes(F, -1, -2)

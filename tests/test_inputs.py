@@ -18,6 +18,7 @@ from typing import Any, NamedTuple
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
+import scipy.signal
 
 import landing
 import modelselect as ms
@@ -219,8 +220,8 @@ ERRORS["limit"] = ERRORS["count"]  # of what takes long, so that other forms are
 ERRORS["result"] = {way: ERRORS["record"][way] for way in ("none", "number")}
 #: Where Python itself refuses: what has not the attributes, or cannot be called.
 REFUSALS = {
-    "record": (AttributeError, TypeError, ValueError),
-    "result": AttributeError,
+    "record": ValueError,
+    "result": ValueError,
     "function": (TypeError, ValueError),
     "names": (TypeError, ValueError),
     "batches": (TypeError, ValueError),
@@ -391,6 +392,10 @@ GAP, LIMIT, PATTERN = number(0.25), number(64.0, "none"), word("preview")
 STEPS = index([0, 2, 1, 2])
 
 
+def plant():
+    return scipy.signal.StateSpace(np.array(A) - np.eye(3), B, np.eye(3), np.zeros((3, 2)))
+
+
 def covariance(t, w, k, v):
     return np.eye(P) * (t == k)
 
@@ -420,7 +425,10 @@ ROWS: dict[str, tuple[Callable[..., Any], dict[str, Arg]]] = {
     "shown": (ms.shown, {"value": FLAG}),
     "check_array": (
         lambda value: ms.check_array("value", value, "n n", (3, 3)),
-        {"name": FLAG, "value": real(A), "axes": FLAG, "sizes": FLAG, "finite": FLAG},
+        {
+            **{"name": FLAG, "value": real(A), "axes": FLAG, "sizes": FLAG, "finite": FLAG},
+            "known": FLAG,
+        },
     ),
     "check_number": (
         lambda value: ms.check_number("value", value, minimum=0),
@@ -432,7 +440,12 @@ ROWS: dict[str, tuple[Callable[..., Any], dict[str, Arg]]] = {
     ),
     "check_semidefinite": (
         lambda matrices: ms.check_semidefinite("matrices", matrices),
-        {"name": FLAG, "matrices": FLAG, "definite": FLAG},  # its callers check the array first
+        {
+            "name": FLAG,
+            "matrices": FLAG,
+            "definite": FLAG,
+            "given": FLAG,
+        },  # its callers check the array first
     ),
     "check_information": (ms.check_information, {"information": PATTERN}),
     "check_choices": (
@@ -453,6 +466,20 @@ ROWS: dict[str, tuple[Callable[..., Any], dict[str, Arg]]] = {
             "N": real(np.array([[0, 1], [1, 0], [0, 0]]) / 4, "none"),
         },
     ),
+    "ControlTask/from_statespace": (
+        lambda **given: ms.psi(ms.ControlTask.from_statespace(**given)),
+        {
+            "system": record(plant),
+            "C": real(C, "length-1"),
+            "Q": weight(np.diag([1.0, 2, 0])),
+            "R": weight(R),
+            "horizon": count(H),
+            "Q_final": weight(np.diag([3.0, 0, 1]), "none"),
+            "N": real(np.array([[0, 1], [1, 0], [0, 0]]) / 4, "none"),
+            "dt": number(0.25),
+        },
+    ),
+    "nearest_semidefinite": (ms.nearest_semidefinite, {"matrices": real(np.eye(3))}),
     "ControlTask.over_time": (lambda: task().over_time(), {}),
     "riccati": (ms.riccati, {"task": TASK}),
     "plan": (ms.plan, {"task": TASK, "x0": real(numbered(3)), "s": real(numbered(H, 1))}),
