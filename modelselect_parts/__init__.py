@@ -5,6 +5,7 @@ semidefinite      semidefinite matrices up to rounding: judged, mended, factored
 checks            the one checker of arguments, the types of array
 stored            objects as JSON and back
 files             files that are written whole or not at all
+options           options of a command line
 exact             floats in exact numbers
 task              paper II: the task, what a flight costs, its Riccati recursion
 regulator         paper II: the controllers, what each of them knows, and Psi

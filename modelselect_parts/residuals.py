@@ -9,7 +9,9 @@ empty, and each residual counts by how near it was: a `Kernel`.
 from __future__ import annotations
 
 import csv
+import io
 import os
+import pathlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -30,6 +32,7 @@ from modelselect_parts.checks import (
     shown,
 )
 from modelselect_parts.checks import Choices as Indices
+from modelselect_parts.files import write_atomically
 from modelselect_parts.suites import LARGEST, PerceptionSuite, Rng, check_names, check_whole
 
 PathLike = str | os.PathLike[str]
@@ -171,8 +174,9 @@ def write_residuals(path: PathLike, residuals: Residuals) -> None:
     names = [residuals.names[w] for w in residuals.model]
     numbers = np.column_stack([residuals.altitude, residuals.residual]).tolist()
     rows = [[name, *row] for name, row in zip(names, numbers, strict=True)]
-    with open(os.fspath(path), "w", encoding="utf-8", newline="") as file:
-        csv.writer(file).writerows([header, *rows])
+    text = io.StringIO(newline="")
+    csv.writer(text).writerows([header, *rows])
+    write_atomically(pathlib.Path(path), text.getvalue().encode(), make_folder=False)
 
 
 # ------------------------------------------------------------------------- what to expect, and draw

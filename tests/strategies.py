@@ -245,7 +245,13 @@ TOOLS = {
 HOMES = {
     **{"camera": "perception", "networks": "perception"},
     **{"suites": "perception", "residuals": "perception"},
-    **{"flights": "landing", "rivals": "landing", "plots": "landing", "files": "landing"},
+    **{
+        "flights": "landing",
+        "rivals": "landing",
+        "plots": "landing",
+        "files": "landing",
+        "options": "landing",
+    },
 }
 
 
