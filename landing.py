@@ -47,8 +47,8 @@ from scipy.signal import cont2discrete
 import modelselect as ms
 import perception
 from modelselect import Array, Choices, ControlTask, Schedule, SelectionProblem
-from modelselect_parts import figures, flights, tables
-from modelselect_parts.checks import check_count, check_name, check_number
+from modelselect_parts import figures, flights, options, tables
+from modelselect_parts.checks import check_count, check_name, check_number, shown
 from modelselect_parts.figures import STYLE
 from modelselect_parts.files import check_targets, write_atomically
 from modelselect_parts.flights import (
@@ -224,8 +224,9 @@ class Settings:
     def __post_init__(self) -> None:
         for name, known in _names().items():
             check_name(name, getattr(self, name), known)
-        for name, minimum in {"horizon": 1, "trials": 1, "seed": 0}.items():
-            count = check_count(name, getattr(self, name), minimum=minimum)
+        counts = {name: check_count(name, getattr(self, name)) for name in ("horizon", "trials")}
+        counts["seed"] = check_count("seed", self.seed, minimum=0, top=math.inf)
+        for name, count in counts.items():
             object.__setattr__(self, name, count)
         for name in ("alpha", "beta", "upsilon", *LIMITS):
             value = getattr(self, name)
@@ -278,6 +279,9 @@ def run_experiment(
     change neither the problem nor the first trials.  Networks that are not given are trained.
     """
     run = Settings() if settings is None else settings
+    for name, given, kind in (("settings", settings, Settings), ("trained", trained, Trained)):
+        if not isinstance(given, kind | None):
+            raise ValueError(f"{name}: expected {kind.__name__}, found {shown(given)}")
     streams = np.random.default_rng(run.seed).spawn(4)
     landing = preset(run.preset, run.horizon)
     Psi = ms.psi(landing.task, run.information)
@@ -321,7 +325,7 @@ def learn(
 
     The `options` are those of `train_models`; no file is overwritten.
     """
-    seed = check_count("seed", seed, minimum=0)
+    seed = check_count("seed", seed, minimum=0, top=math.inf)
     sizes = options.get("architecture", perception.ARCHITECTURE)
     scales = (MOUNT, perception.LOWEST, perception.HIGHEST)
     made_of = repr((1, seed, sizes, sorted(options.items()), *scales))
@@ -533,20 +537,16 @@ def write_percentages(result: Result, path: Path) -> None:
     write_atomically(path, text.getvalue().encode())
 
 
-def _parser() -> argparse.ArgumentParser:
+def _parser() -> options.Parser:
     """Make a parser of the fields of `Settings`, and of where to write what."""
     about = "Land an aircraft, choosing perception models."
-    parser = argparse.ArgumentParser("landing.py", usage=argparse.SUPPRESS, description=about)
-    for name, value in asdict(Settings()).items():
-        kind, known = float if value is None else type(value), _names().get(name)
-        default = {"upsilon": "as the preset", "budget": "none"}.get(name, value)
-        flag = f"--{name.replace('_', '-')}"
-        about = f"default: {default}"
-        parser.add_argument(flag, type=kind, choices=known, default=value, help=about)
+    parser = options.Parser("landing.py", usage=argparse.SUPPRESS, description=about)
+    unset = {"upsilon": "as the preset", "budget": "none"}
+    parser.add_fields(asdict(Settings()), _names(), unset)
     about = "find all Pareto points, or as many as so many seconds prove"
-    parser.add_argument("--front", type=float, metavar="SECONDS", help=about)
-    parser.add_argument("--out", type=Path, default="figures", metavar="FOLDER")
-    parser.add_argument("--json", type=Path, metavar="FILE")
+    parser.add_argument("--front", type=options.real, metavar="SECONDS", help=about)
+    parser.add_argument("--out", type=options.place, default="figures", metavar="FOLDER")
+    parser.add_argument("--json", type=options.place, metavar="FILE")
     parser.add_argument("--no-figures", action="store_true")
     parser.add_argument("--quiet", action="store_true")
     return parser
@@ -555,16 +555,17 @@ def _parser() -> argparse.ArgumentParser:
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line.
 
-    Returns 0; bad input in `argv` ends it with status 2, after one line that says what was wrong.
+    Returns 0, or 130 after Ctrl-C; bad input in `argv` ends it with status 2, after one line that
+    says what was wrong.
     """
     parser = _parser()
     first = parser.parse_known_args(argv)[0].experiment
     parser.set_defaults(**DEFAULTS.get(first, {}))
-    options = vars(parser.parse_args(argv))
-    out, path, bare, quiet = (options.pop(key) for key in ("out", "json", "no_figures", "quiet"))
-    seconds = options.pop("front")
+    given = vars(parser.parse_args(argv))
+    out, path, bare, quiet = (given.pop(key) for key in ("out", "json", "no_figures", "quiet"))
+    seconds = given.pop("front")
     try:
-        settings = Settings(**options)
+        settings = Settings(**given)
         learns = settings.experiment == "trained"
         seconds is None or check_number("front", seconds, minimum=0)
         check_targets(None if bare and not learns else out, path)
@@ -584,8 +585,11 @@ def main(argv: Sequence[str] | None = None) -> int:
             write_percentages(result, out / "percentages.csv")
         if path:
             write_atomically(path, dumps(summary(result), indent=1).encode())
-    except (ValueError, OSError, MemoryError) as error:
-        parser.error(" ".join(str(error).split()))
+        sys.stdout.flush()  # a full disk or a closed pipe shows here
+    except (ValueError, OSError, MemoryError, OverflowError) as error:
+        parser.error(error)
+    except KeyboardInterrupt:
+        return parser.interrupted()
     return 0
 
 

@@ -295,6 +295,11 @@ def load_models(path: PathLike, key: str, architecture: Sizes = ARCHITECTURE) ->
             array[...] = check_array(name, found[name], axes, array.shape)
         losses = check_array("losses", found["losses"], "W epochs", (W, None))
         return Trained(networks, losses, _name_models(found["altitude"], found["residual"], W))
+    except (FileNotFoundError, IsADirectoryError) as error:
+        where = " ".join(str(path).split())
+        raise ValueError(
+            f"path: expected a file of models, found {where}: {error.strerror}"
+        ) from None
     except Exception as error:  # damage can surface as almost any of them
         why = " ".join(str(error).split()).split(". ")[0][:150]
         where = " ".join(str(path).split())

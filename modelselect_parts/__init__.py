@@ -7,6 +7,7 @@ checks            the one checker of arguments, the types of array
 matrices          covariances and cost matrices as users give them
 stored            objects as JSON and back
 files             files that are written whole or not at all
+options           options of a command line
 exact             floats in exact numbers
 task              paper II: the task, what a flight costs, its Riccati recursion
 regulator         paper II: the controllers, what each of them knows, and Psi

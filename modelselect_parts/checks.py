@@ -99,11 +99,12 @@ def check_number(name: str, value: Any, *, minimum: float = -np.inf) -> float:
     return number
 
 
-def check_count(name: str, value: Any, *, minimum: int = 1) -> int:
-    """Return `value` as an int >= `minimum`."""
-    number, raw = check_number(name, value), np.asarray(value)
-    if raw.dtype == bool or number != int(number) or number < minimum:
-        raise ValueError(f"{name}: expected an integer >= {minimum}, found {shown(value)}")
+def check_count(name: str, value: Any, *, minimum: int = 1, top: float = 2**64 - 1) -> int:
+    """Return `value` as an int from `minimum` to `top`."""
+    number, raw = value if type(value) is int else check_number(name, value), np.asarray(value)
+    if raw.dtype == bool or number != int(number) or not minimum <= int(raw) <= top:
+        expected = f"an integer >= {minimum}" + (f" and <= {top}" if int(raw) > top else "")
+        raise ValueError(f"{name}: expected {expected}, found {shown(value)}")
     return int(raw)  # of `number`, the last digits of a large integer are lost
 
 

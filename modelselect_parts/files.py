@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-import tempfile
 from pathlib import Path
 
 
-def write_atomically(path: Path, content: bytes) -> None:
-    """Write `content` to a file completely or not at all: beside it first, then moved there."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    part = path.with_name(f".{path.name}.part")
+def write_atomically(path: Path, content: bytes, *, make_folder: bool = True) -> None:
+    """Write `content` to a file completely or not at all: beside it first, then moved there.
+
+    Whatever ends the writing, Ctrl-C included, the file stays as it was, and nothing is left.
+    """
+    if make_folder:
+        path.parent.mkdir(parents=True, exist_ok=True)
+    part = _beside(path)
     try:
         part.write_bytes(content)
         part.replace(path)
@@ -17,16 +20,33 @@ def write_atomically(path: Path, content: bytes) -> None:
         part.unlink(missing_ok=True)
 
 
+def _beside(path: Path) -> Path:
+    return path.with_name(f".{path.name}.part")
+
+
 def check_targets(out: Path | None, path: Path | None) -> None:
     """Raise ValueError unless a folder and a file can be written (or made), leaving no trace."""
-    for flag, folder in (("--out", out), ("--json", path and path.parent)):
-        try:
-            for place in [folder, *folder.parents] if folder else []:
-                if place.exists():
-                    tempfile.TemporaryFile(dir=place).close()
-                    break
-        except OSError as error:
-            found = f"{folder}: {error.strerror}"
-            raise ValueError(f"{flag}: expected a writable folder, found {found}") from None
-    if path and (path == out or (path.exists() and not path.is_file())):
-        raise ValueError(f"--json: expected a file, found {path}")
+    if out:
+        _try("--out", out / "any", f"a writable folder, found {out}")
+    if path:
+        taken = out and path.absolute() in (out.absolute(), *out.absolute().parents)
+        _try("--json", path, f"a file in a writable folder, found {path}", taken=bool(taken))
+
+
+def _try(flag: str, path: Path, expected: str, *, taken: bool = False) -> None:
+    """Make a file beside a path, with its folders, and take all of it away again."""
+    made: list[Path] = []
+    try:
+        if taken or (path.exists() and not path.is_file()):
+            raise IsADirectoryError("not a file, or a folder of --out")
+        for folder in reversed([folder for folder in path.parents if not folder.exists()]):
+            folder.mkdir()
+            made.append(folder)
+        _beside(path).touch()
+        _beside(path).unlink()
+    except (OSError, ValueError) as error:  # a name with a null byte is a ValueError
+        why = getattr(error, "strerror", None) or error
+        raise ValueError(f"{flag}: expected {expected}: {why}") from None
+    finally:
+        for folder in reversed(made):
+            folder.rmdir()

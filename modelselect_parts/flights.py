@@ -229,7 +229,7 @@ def fly_by_sight(
     s = check_array("s", s, "trials H p", (None, task.horizon, task.p))
     check_array("choices", choices, "H", (task.horizon,))
     models = check_choices(choices, task.horizon, len(networks))
-    seed, N = check_count("seed", seed, minimum=0), len(s)
+    seed, N = check_count("seed", seed, minimum=0, top=math.inf), len(s)
     rng, errors = np.random.default_rng(seed), np.empty_like(s)
     scene = draw_scenes(N, rng)
 
@@ -253,7 +253,7 @@ def photograph_landings(seed: int) -> tuple[Array, list[Pictures]]:
 
     The fourth of them shows the third landing as b7 sees it (``fig:airsim_env``).
     """
-    seed = check_count("seed", seed, minimum=0)
+    seed = check_count("seed", seed, minimum=0, top=math.inf)
     altitude, rng = np.array([100.0, 60, 35, 20, 10, 5, 2, 0]), np.random.default_rng(seed)
     N, worlds, rows = len(altitude), draw_scenes(3, rng), []
     for world, side in [(0, 128), (1, 128), (2, 128), (2, 40)]:

@@ -7,7 +7,9 @@ s_hat - s, in p components; or that it gave nothing: NaN in memory, an empty cel
 from __future__ import annotations
 
 import csv
+import io
 import os
+import pathlib
 import re
 import warnings
 from collections.abc import Sequence
@@ -28,6 +30,7 @@ from modelselect_parts.checks import (
     shown,
 )
 from modelselect_parts.checks import Choices as Indices
+from modelselect_parts.files import write_atomically
 from modelselect_parts.suites import check_names, check_whole
 
 PathLike = str | os.PathLike[str]
@@ -334,9 +337,10 @@ def write_residuals(path: PathLike, residuals: Residuals) -> None:
     header = ["model", *residuals.variables, *(residuals.components or ())]
     names = [residuals.names[w] for w in residuals.model]
     numbers = np.column_stack([residuals.altitude, residuals.residual]).tolist()
-    with open(os.fspath(path), "w", encoding="utf-8", newline="") as file:
-        rows = ([name, *map(_cell, row)] for name, row in zip(names, numbers, strict=True))
-        csv.writer(file).writerows([header, *rows])
+    rows = ([name, *map(_cell, row)] for name, row in zip(names, numbers, strict=True))
+    text = io.StringIO(newline="")
+    csv.writer(text).writerows([header, *rows])
+    write_atomically(pathlib.Path(path), text.getvalue().encode(), make_folder=False)
 
 
 def _cell(number: float) -> float | str:

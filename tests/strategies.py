@@ -244,8 +244,8 @@ TOOLS = {
 #: Parts that users reach through another module than modelselect.
 HOMES = {
     **{"camera": "perception", "networks": "perception"},
-    **{"suites": "perception", "measurements": "perception", "residuals": "perception"},
-    **{"flights": "landing", "rivals": "landing", "plots": "landing", "files": "landing"},
+    **dict.fromkeys(("suites", "measurements", "residuals"), "perception"),
+    **dict.fromkeys(("flights", "rivals", "plots", "files", "options"), "landing"),
 }
 
 

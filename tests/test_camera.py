@@ -611,8 +611,9 @@ def test_a_file_of_other_sizes_is_refused(trained, tmp_path):
     for sizes in (ARCHITECTURE[1:4], ARCHITECTURE[:4]):
         with pytest.raises(ValueError, match="no file of these models"):
             load_models(path, "key", sizes)
-    with pytest.raises(ValueError, match="no file of these models"):
-        load_models(tmp_path / "missing.npz", "key")
+    for place, why in (("missing.npz", "No such file or directory"), ("", "Is a directory")):
+        with pytest.raises(ValueError, match=f"^path: expected a file of models, found .*: {why}$"):
+            load_models(tmp_path / place, "key")  # there is nothing to delete or move
 
 
 # ---------------------------------------------------------------------------- what is made of them

@@ -5,7 +5,12 @@ Runs are tiny, in a folder of their own; networks are never trained.
 
 import io
 import os
+import signal
+import subprocess
+import sys
+import time
 from contextlib import redirect_stderr, redirect_stdout
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -120,6 +125,127 @@ def test_a_large_seed_is_kept_to_the_last_digit(place):
     argv = ["--horizon", "2", "--trials", "2", "--quiet", "--no-figures", "--json", "seed.json"]
     assert run([*argv, "--seed", "9007199254740993"]) == (0, "", "")
     assert '"seed": 9007199254740993' in Path("seed.json").read_text()
+
+
+#: No numbers on a command line: empty, words, digits of other scripts, and what only code has.
+NO_NUMBERS = ["", " ", "x", "1_0", "\uff11", "\u0663", "1,5", "0x10", "1 2", "None", "2\n3", "--"]
+NO_COUNTS = ["-1", "1.5", "nan", "inf", "1e3", "9" * 5000, *NO_NUMBERS]
+NO_WEIGHTS = ["-1", "nan", "inf", "1e999", "-1e-300", *NO_NUMBERS]
+NO_NAMES = ["", "none", "Published", "trained ", "0", "x\ny"]
+NO_PLACES = ["", " ", "file/below", "file/below/it", "/proc/none/it", "a\0b", "new/" + "x" * 300]
+BAD = {
+    **dict.fromkeys(["--experiment", "--preset", "--information", "--cost"], NO_NAMES),
+    "--horizon": ["0", "9" * 26, *NO_COUNTS],
+    "--trials": ["0", "9" * 26, *NO_COUNTS],
+    "--seed": NO_COUNTS,
+    **dict.fromkeys(["--alpha", "--beta", "--upsilon", "--switch-cost", "--budget"], NO_WEIGHTS),
+    "--front": NO_WEIGHTS,
+    "--out": ["file", *NO_PLACES],
+    "--json": [".", "/dev/null", "folder", "new/" + "x" * 252, *NO_PLACES],
+    "--no-figures": ["yes"],
+    "--quiet": ["yes"],
+}
+
+
+def test_the_table_has_every_option():
+    known = {flag for action in landing._parser()._actions for flag in action.option_strings}
+    assert set(BAD) == known - {"-h", "--help"}
+
+
+@pytest.mark.parametrize(
+    ("flag", "value"), [case for flag, bad in BAD.items() for case in product([flag], bad)]
+)
+def test_a_bad_value_is_one_line_and_status_2_before_any_work(flag, value, place, monkeypatch):
+    for work in ("learn", "run_experiment"):
+        monkeypatch.setattr(landing, work, lambda *_, **__: pytest.fail("it worked"))
+    Path("folder").mkdir(exist_ok=True)
+    around = written(place), set(place.iterdir())
+    status, out, err = run([f"{flag}={value}", *["--quiet"] * (flag != "--quiet")])
+    assert (status, out) == (2, "")
+    assert err.startswith("landing.py: error: ") and err.endswith("\n") and err.count("\n") == 1
+    assert flag[2:] in err.replace("_", "-") and len(err) < 500
+    assert (written(place), set(place.iterdir())) == around
+
+
+@pytest.mark.parametrize("flag", [flag for flag in BAD if flag not in ("--no-figures", "--quiet")])
+def test_an_option_without_its_value_is_named(flag, place):
+    status, out, err = run([flag])
+    assert (status, out, err) == (
+        2,
+        "",
+        f"landing.py: error: argument {flag}: expected one argument\n",
+    )
+
+
+@pytest.mark.parametrize("argv", ["--json q --out q", "--json q --out q/r", "--json q --out ./q/"])
+def test_one_place_is_not_a_file_and_a_folder(argv, place, monkeypatch):
+    monkeypatch.setattr(landing, "run_experiment", lambda *_, **__: pytest.fail("it worked"))
+    status, _, err = run([*argv.split(), "--quiet"])
+    assert status == 2 and "--json: expected a file in a writable folder, found q: not a" in err
+
+
+def test_a_seed_may_have_any_number_of_digits(place):
+    seed = "12345678901234567890123456"
+    argv = ["--horizon", "2", "--trials", "2", "--quiet", "--no-figures", "--json", "seed.json"]
+    assert run([*argv, "--seed", seed]) == (0, "", "")
+    assert f'"seed": {seed}' in Path("seed.json").read_text()
+
+
+@pytest.mark.parametrize("stage", ["run_experiment", "report", "write_figures", "summary"])
+def test_ctrl_c_ends_with_130_and_one_line(stage, place, monkeypatch):
+    def interrupt(*_, **__):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(landing, stage, interrupt)
+    argv = ["--horizon", "2", "--trials", "2", "--out", "stopped", "--json", "stopped/r.json"]
+    status, _, err = run(argv)
+    assert (status, err) == (130, "landing.py: interrupted\n")
+    assert not Path("stopped/r.json").exists()
+
+
+def test_ctrl_c_while_writing_leaves_the_old_file(place, monkeypatch):
+    path, write = Path("results.json"), Path.write_bytes
+    path.write_text("old")
+
+    def interrupt(self, content):
+        write(self, content[:9])
+        raise KeyboardInterrupt
+
+    before = written(place)
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "write_bytes", interrupt)
+        argv = ["--horizon", "2", "--trials", "2", "--no-figures", "--json", str(path)]
+        assert run(argv)[0] == 130
+    assert path.read_text() == "old" and written(place) == before
+
+
+@pytest.mark.unmutated
+@pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
+def test_ctrl_c_in_a_shell(tmp_path):
+    argv = ["--horizon", "4", "--trials", "100000", "--json", "new/r.json"]  # minutes
+    script = f"import sys, landing; print('begins', flush=True); sys.exit(landing.main({argv}))"
+    root, pipe = str(Path(landing.__file__).parent), subprocess.PIPE
+    environment = os.environ | {"PYTHONPATH": root}
+    with subprocess.Popen(
+        [sys.executable, "-c", script], cwd=tmp_path, env=environment, stdout=pipe, stderr=pipe
+    ) as child:
+        child.stdout.readline()
+        time.sleep(0.5)
+        child.send_signal(signal.SIGINT)
+        out, err = child.communicate(timeout=60)
+    assert (child.returncode, out, err) == (130, b"", b"landing.py: interrupted\n")
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.unmutated
+@pytest.mark.skipif(not os.path.exists("/dev/full"), reason="a full disk of Linux")
+def test_a_full_disk_behind_the_output_is_one_line():
+    command = [sys.executable, landing.__file__, "--horizon", "4", "--trials", "2", "--no-figures"]
+    environment = os.environ | {"PYTHONUNBUFFERED": ""}  # as in most shells
+    with open("/dev/full", "w") as full:
+        done = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, env=environment)
+    assert done.returncode == 2
+    assert done.stderr.startswith(b"landing.py: error: ") and done.stderr.count(b"\n") == 1
 
 
 @given(st.data())

@@ -436,7 +436,7 @@ ROWS: dict[str, tuple[Callable[..., Any], dict[str, Arg]]] = {
     ),
     "check_count": (
         lambda value: ms.check_count("value", value),
-        {"name": FLAG, "value": count(3), "minimum": FLAG},
+        {"name": FLAG, "value": count(3), "minimum": FLAG, "top": FLAG},
     ),
     "check_semidefinite": (
         lambda matrices: ms.check_semidefinite("matrices", matrices),
@@ -1011,7 +1011,7 @@ ROWS: dict[str, tuple[Callable[..., Any], dict[str, Arg]]] = {
             "beta": number(0.5),
             "upsilon": number(2.0, "none"),
             "cost": word("linear"),
-            "seed": count(7, "zero huge"),
+            "seed": count(7, "zero huge beyond-int64 beyond-float"),
             "switch_cost": number(0.5),
             "budget": number(2.0, "none"),
         },
@@ -1071,7 +1071,7 @@ ROWS: dict[str, tuple[Callable[..., Any], dict[str, Arg]]] = {
             seed, folder, architecture=SIZES, training=4, held_out=3, epochs=1
         ),
         {
-            "seed": count(7, "zero huge"),
+            "seed": count(7, "zero huge beyond-int64 beyond-float"),
             "folder": record(lambda: Path("learned"), "none"),
             "progress": FLAG,
             "options": FLAG,
@@ -1083,7 +1083,7 @@ ROWS: dict[str, tuple[Callable[..., Any], dict[str, Arg]]] = {
             "result": SEEN,
             "s": real(numbered(2, 6, 1) / 8, "length-0"),
             "choices": index([0, 1, 1, 0, 1, 0]),
-            "seed": count(5, "zero huge"),
+            "seed": count(5, "zero huge beyond-int64 beyond-float"),
         },
     ),
     "judge_on_pictures": (
@@ -1128,7 +1128,10 @@ ROWS: dict[str, tuple[Callable[..., Any], dict[str, Arg]]] = {
     "plot_landing": (landing.plot_landing, {"result": FLOWN}),
     "plot_efficientnet": (landing.plot_efficientnet, {}),
     "plot_psi": (landing.plot_psi, {"task": Arg("result", fresh=task)}),
-    "plot_gallery": (landing.plot_gallery, {"seed": Arg("limit", 3, "zero huge")}),
+    "plot_gallery": (
+        landing.plot_gallery,
+        {"seed": Arg("limit", 3, "zero huge beyond-int64 beyond-float")},
+    ),
     "plot_accuracy": (landing.plot_accuracy, {"trained": Arg("result", fresh=trained)}),
     "plot_distribution": (
         landing.plot_distribution,
@@ -1146,7 +1149,11 @@ ROWS: dict[str, tuple[Callable[..., Any], dict[str, Arg]]] = {
     ),
     "write_atomically": (
         landing.write_atomically,
-        {"path": record(lambda: Path("written")), "content": record(lambda: b"all", "array")},
+        {
+            "path": record(lambda: Path("written")),
+            "content": record(lambda: b"all", "array"),
+            "make_folder": FLAG,
+        },
     ),
     "check_targets": (
         landing.check_targets,
@@ -1408,6 +1415,14 @@ def test_large_integers_keep_their_last_digit():
     assert ms.check_count("seed", 2**53 + 1) == 2**53 + 1
     assert Settings(seed=2**53 + 1).seed == 2**53 + 1
     assert ms.check_count("seed", np.uint64(2**64 - 1)) == 2**64 - 1
+    seed = 12345678901234567890123456
+    assert Settings(seed=seed).seed == ms.check_count("seed", seed, top=np.inf) == seed
+    refused(lambda: Settings(trials=seed), f"trials: expected an integer >= 1 and <= {2**64 - 1}")
+
+
+def test_a_run_takes_settings_and_networks_and_nothing_else():
+    refused(lambda: landing.run_experiment(trained=5), "trained: expected Trained, found 5")
+    refused(lambda: landing.run_experiment({}), "settings: expected Settings, found {}")
 
 
 def test_a_mask_is_no_list_of_models():

@@ -1,0 +1,79 @@
+"""Options of a command line: numbers as people write them, and errors on one line.
+
+Python reads ``1_0`` and digits of other scripts as numbers, and an empty path as the current
+folder.  On a command line such a value is a slip, and is refused.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from collections.abc import Callable, Collection, Mapping
+from pathlib import Path
+from typing import Any, NoReturn, TypeVar
+
+from modelselect_parts.checks import shown
+
+INTERRUPTED = 130  #: exit status after Ctrl-C: 128 and the number of the signal
+Number = TypeVar("Number", int, float)
+
+
+def _as(kind: Callable[[str], Number], expected: str, text: str) -> Number:
+    try:
+        if not text.isascii() or "_" in text:
+            raise ValueError
+        return kind(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"expected {expected}, found {shown(text)}") from None
+
+
+def whole(text: str) -> int:
+    """Return the integer that a `text` of ASCII digits means."""
+    return _as(int, "an integer", text)
+
+
+def real(text: str) -> float:
+    """Return the number that a `text` in ASCII means; what it may be is for others to say."""
+    return _as(float, "a number", text)
+
+
+def place(text: str) -> Path:
+    """Return the path that a `text` names; an empty one names none."""
+    if not text.strip():
+        raise argparse.ArgumentTypeError(f"expected a path, found {shown(text)}")
+    return Path(text)
+
+
+class Parser(argparse.ArgumentParser):
+    """A parser without usage lines, which ends with status 2 after one line on what is wrong."""
+
+    def add_fields(
+        self,
+        values: Mapping[str, Any],
+        names: Mapping[str, Collection[str]],
+        said: Mapping[str, str],
+    ) -> None:
+        """Add an option a field, with its default in `values`, as `said` where None says nothing.
+
+        A field of `names` is one of those that are known.
+        """
+        kinds: dict[type, Callable[[str], Any]] = {int: whole, float: real, type(None): real}
+        for name, value in values.items():
+            flag, known = f"--{name.replace('_', '-')}", names.get(name)
+            kind, default = kinds.get(type(value), str), said.get(name, value)
+            about = f"default: {default}"
+            self.add_argument(flag, type=kind, choices=known, default=value, help=about)
+
+    def error(self, message: object) -> NoReturn:
+        """End with status 2, after the `message` on one line."""
+        try:
+            sys.stdout.flush()
+        except OSError:  # Python would try once more at its end, and complain
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        self.exit(2, f"{self.prog}: error: {' '.join(str(message).split())}\n")
+
+    def interrupted(self) -> int:
+        """Say on one line that Ctrl-C ended the work, and return the status to end with."""
+        print(f"{self.prog}: interrupted", file=sys.stderr)
+        return INTERRUPTED
