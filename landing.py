@@ -48,7 +48,7 @@ import modelselect as ms
 import perception
 from modelselect import Array, Choices, ControlTask, Schedule, SelectionProblem
 from modelselect_parts import figures, flights, options, tables
-from modelselect_parts.checks import check_count, check_name, check_number, shown
+from modelselect_parts.checks import check_class, check_count, check_name, check_number, shown
 from modelselect_parts.figures import STYLE
 from modelselect_parts.files import check_targets, write_atomically
 from modelselect_parts.flights import (
@@ -171,6 +171,7 @@ def cost_scale(Psi: Array, suite: PerceptionSuite) -> float:
     The rule is beta Upsilon (W-1) H = 0.2 alpha (expected control term of All Small) at
     alpha = 0.8 and beta = 0.2, whatever the weights in use, so that sweeping those means something.
     """
+    check_class("suite", suite, "PerceptionSuite")
     H, W, _ = suite.mean.shape
     if W < 2:
         raise ValueError("suite: expected 2 or more models to put a price on, found 1")
@@ -330,6 +331,8 @@ def learn(
     scales = (MOUNT, perception.LOWEST, perception.HIGHEST)
     made_of = repr((1, seed, sizes, sorted(options.items()), *scales))
     key = hashlib.sha256(made_of.encode()).hexdigest()[:16]
+    if folder is not None:
+        check_class("folder", folder, "Path")
     path = None if folder is None else folder / f"models-{key}.npz"
     if path is not None and path.exists():
         return perception.load_models(path, key, sizes)
@@ -352,6 +355,7 @@ def fly_on_pictures(result: Result, s: Array, choices: Choices, seed: int) -> tu
     True inputs s are (trials, H, 1), `choices` (H,), and the `seed` is that of the scenes.  Returns
     altitude (trials, H+1), control cost (trials,), error s_hat - s (trials, H, 1).
     """
+    check_class("result", result, "Result")
     networks, information = _learned(result).networks, result.settings.information
     return flights.fly_by_sight(result.landing, networks, information, s, choices, seed)
 
@@ -368,6 +372,7 @@ def judge_on_pictures(
     `run_experiment`, and Upsilon follows the rule for the Psi of the pattern `information`, to
     which switching cost and budget keep their ratio.
     """
+    check_class("result", result, "Result")
     for policy in policies:
         check_name("policies", policy, FLOWN)
     trained = _learned(result)
@@ -400,6 +405,7 @@ def sample_sizes(
 
     The `sizes`, `repeats` and `fresh` pictures are those of `regret_of_few`.
     """
+    check_class("result", result, "Result")
     given = (result.landing, _learned(result), result.problem, ms.solve)
     rng = np.random.default_rng([result.settings.seed, 1])
     return flights.regret_of_few(*given, rng, sizes, repeats, fresh)
@@ -419,6 +425,7 @@ def published_log(settings: Settings, offset: int = 0) -> dict[str, Array]:
 
     Model w costs (w + offset) * Upsilon: 1 is as logged, 0 converts to the convention of the text.
     """
+    check_class("settings", settings, "Settings")
     offset = check_count("offset", offset, minimum=0)
     logged, table = PUBLISHED.get(settings.experiment, (None, {}))
     simulated = settings.experiment == "simulated"
@@ -441,6 +448,7 @@ def report(result: Result) -> str:
     Below a policy stands what the authors logged of it under the same settings; below all, what is
     proved of Optimal, how often it runs each model, and how good those are.
     """
+    check_class("result", result, "Result")
     run, best, suite = result.settings, result.optimal, result.suite
     ours = result.flights["Optimal"].reward
     rows = [flights.estimate(*flown[2:], ours - flown.reward) for flown in result.flights.values()]
@@ -473,6 +481,7 @@ def percentages(result: Result) -> list[dict[str, Any]]:
 
     The log, and what the paper prints, stand only beside settings that they belong to.
     """
+    check_class("result", result, "Result")
     log = published_log(result.settings)
     sources = {"this run": result.means(), "log at w*Upsilon": log}
     sources["log at (w+1)*Upsilon"] = published_log(result.settings, 1)
@@ -486,6 +495,7 @@ def report_pictures(result: Result, *, progress: bool = False) -> str:
 
     Landings are flown under every pattern without forecast, in full under that of the run.
     """
+    check_class("result", result, "Result")
     run, (networks, _, residuals) = result.settings, _learned(result)
     altitude, errors = flights.by_network(residuals)
     rms, edges, by_altitude = flights.errors_by_altitude(altitude, errors)
@@ -507,6 +517,7 @@ def report_pictures(result: Result, *, progress: bool = False) -> str:
 
 def summary(result: Result) -> dict[str, Any]:
     """Return what ``--json`` writes: means, 95% intervals (None for one trial), certificate."""
+    check_class("result", result, "Result")
     policies: dict[str, dict[str, Any]] = {policy: {} for policy in result.flights}
     for policy, flown in result.flights.items():
         rows = flights.estimate(*flown[2:]).tolist()
@@ -530,6 +541,7 @@ def summary(result: Result) -> dict[str, Any]:
 
 def write_percentages(result: Result, path: Path) -> None:
     """Write the rows of `percentages` to the file `path` as CSV, below their names."""
+    check_class("result", result, "Result")
     rows, text = percentages(result), io.StringIO()
     table = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
     table.writeheader()

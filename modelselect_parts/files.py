@@ -4,12 +4,16 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from modelselect_parts.objects import check_class
+
 
 def write_atomically(path: Path, content: bytes, *, make_folder: bool = True) -> None:
     """Write `content` to a file completely or not at all: beside it first, then moved there.
 
     Whatever ends the writing, Ctrl-C included, the file stays as it was, and nothing is left.
     """
+    check_class("path", path, "Path")
+    check_class("content", content, "bytes")
     if make_folder:
         path.parent.mkdir(parents=True, exist_ok=True)
     part = _beside(path)
@@ -26,6 +30,9 @@ def _beside(path: Path) -> Path:
 
 def check_targets(out: Path | None, path: Path | None) -> None:
     """Raise ValueError unless a folder and a file can be written (or made), leaving no trace."""
+    for name, place in (("out", out), ("path", path)):
+        if place is not None:
+            check_class(name, place, "Path")
     if out:
         _try("--out", out / "any", f"a writable folder, found {out}")
     if path:

@@ -14,7 +14,7 @@ def check_semidefinite(
 ) -> Array:
     """Return symmetric positive semidefinite, or definite, `matrices` (..., k, k), mended.
 
-    As they were `given`, they may have had fewer digits than ours.
+    As they were `given`, they may have had fewer digits than ours; messages say `name`.
     """
     digits = getattr(given, "dtype", np.dtype(float))
     single = digits.kind == "f" and digits.itemsize < 8

@@ -68,6 +68,7 @@ def plot_pareto(result: Result, optima: Sequence[Schedule] | None = None) -> Fig
     check_class("result", result, "Result")
     problem = result.problem
     optima = pareto(problem)[1] if optima is None else optima
+    check_classes("optima", optima, "Schedule")
     fixed = {k: f.choices for k, f in result.flights.items() if k not in ("Oracle", "Clairvoyant")}
     terms = (problem.perception_term, problem.control_term)
     schedules = ([optimum.choices for optimum in optima], [np.asarray(c) for c in fixed.values()])
