@@ -19,7 +19,7 @@ import modelselect as ms
 import perception
 from modelselect import Array, ControlTask, Schedule
 from modelselect_parts import figures, flights
-from modelselect_parts.checks import check_class, check_count
+from modelselect_parts.checks import check_class, check_classes, check_count
 from modelselect_parts.files import write_atomically
 from modelselect_parts.flights import root_mean_square
 from modelselect_parts.rivals import Front, pareto
