@@ -20,6 +20,7 @@ import perception
 ROOT = Path(__file__).resolve().parents[1]
 NOTEBOOKS = ROOT / "notebooks"
 README = (ROOT / "README.md").read_text(encoding="utf-8")
+PAPER = (NOTEBOOKS / "paper.md").read_text(encoding="utf-8")
 NAMES = sorted(path.stem for path in NOTEBOOKS.glob("[0-9][0-9]_*.py"))
 MODULES = (modelselect, perception, landing)
 PUBLIC = {
@@ -59,7 +60,7 @@ def with_tag(name: str, tag: str) -> list[dict]:
 
 
 def section(mark: str) -> str:
-    return README.partition(f"<!-- {mark} -->")[2].partition(f"<!-- /{mark} -->")[0]
+    return PAPER.partition(f"<!-- {mark} -->")[2].partition(f"<!-- /{mark} -->")[0]
 
 
 # --- files ---
