@@ -67,6 +67,10 @@ class Renderer(IPythonRenderer):
         r"""Render \begin{name}...\end{name} outside of dollars."""
         return mathml(rf"\begin{{{name}}}{body}\end{{{name}}}", "block")
 
+    def block_html(self, html: str) -> str:
+        """Leave a fold open: its answer is Markdown and ends with a block of its own."""
+        return html if re.match("</?details", html) else super().block_html(html)
+
     def heading(self, text: str, level: int, **attrs: object) -> str:
         """Give a heading an anchor; that of an exercise is its number."""
         words = re.sub(r"<[^>]*>", "", text).lower()

@@ -323,6 +323,7 @@ def test_a_change_is_shown_as_a_difference(build):
         (r"$$\begin{aligned} a &= 1 \\ &= 2 \end{aligned}$$", ["<mtable"]),
         ("- item $x$\n- other", ["<math"]),
         ("| a |\n|---|\n| $\\frac12$ |", ["<mfrac>"]),
+        ("<details><summary>q</summary>\n\n$x$\n\n</details>", ["</math></p>\n</details>"]),
         (r"\$5 and `$x$`, $5 to $6", ["<p>$5 and <code>$x$</code>, $5 to $6</p>"]),
     ],
 )
