@@ -32,8 +32,8 @@ SKY, GREY = landing.LOOK["All Small"]["color"], "#999999"
 # ## Two steps, nine schedules
 #
 # A cart follows $x_{t+1} = x_t + u_t + s_t$, with $Q = R = 1$ and $H = 2$, and acts on a forecast
-# of its pushes $s_t$ (`preview`). Three models: b0 is free and errs by $1$; b1 costs 0.2 and errs by
-# $-0.5$; b2 costs 0.6 and errs by $0.1$.
+# of its pushes $s_t$ (`preview`). Three models: b0 is free and errs by $1$; b1 costs 0.2 and errs
+# by $-0.5$; b2 costs 0.6 and errs by $0.1$.
 
 # %%
 one, mean = np.eye(1), np.tile([[1.0], [-0.5], [0.1]], (2, 1, 1))
@@ -45,13 +45,15 @@ for c, cost in zip(nine, toy.total_cost(nine), strict=True):
     print(c, f"{cost:.3f}")
 
 # %% [markdown]
-# The best is `[1 0]`, at 0.725: the errors partly cancel. Judged by itself, each step takes b1 (0.925).
+# The best is `[1 0]`, at 0.725: the errors partly cancel. Judged by itself, each step takes b1
+# (0.925).
 #
-# Now pick **any** point $d$, say $d = (\frac{2}{45}, \frac{4}{45})$. Then $\Psi d = (\frac1{15},
-# \frac1{15})$, and at either step the tangent prices b0 at $\frac{2}{15} = 0.133$, b1 at
-# $-\frac1{15} + 0.2 = 0.133$, b2 at $\frac{2}{150} + 0.6 = 0.613$. The cheapest prices, added up, less
-# $d^\top\Psi d = 0.009$, make $LB = 0.258$. And **every** schedule costs exactly 0.258, plus what its models
-# cost above the cheapest price (b2: 0.48), plus a square.
+# Now pick **any** point $d$, say $(\frac{2}{45}, \frac{4}{45})$, and replace the square by its
+# tangent there: error $\mu$ at step $t$ costs $2\mu\,(\Psi d)_t = \frac{2}{15}\mu$. With its
+# price, b0 costs $\frac{2}{15} = 0.133$, b1 $-\frac1{15} + 0.2 = 0.133$, b2 $\frac{2}{150} + 0.6 =
+# 0.613$. The cheapest of each step, added up, less $d^\top\Psi d = 0.009$, make $LB = 0.258$.
+# **Every** schedule costs exactly 0.258, plus what its models cost above the cheapest (b2: 0.48),
+# plus a square that the tangent left out.
 
 # %% alt="Left, a map of the bound over the plane of d: a ridge whose top, 0.258, is marked by a star; nine dots are the schedules, and each costs more. Right, nine bars from the cheapest schedule, 0.725, to the dearest, 2.1: every bar is the same bound 0.258, plus 0.48 for each use of b2, plus a square." tags=["hide-input"]
 side = np.linspace(-1.5, 1.5, 101)
@@ -83,9 +85,9 @@ right.legend(loc="upper right")
 plt.show()
 
 # %% [markdown]
-# Take $\Delta = 0.725 - 0.258 = 0.467$, the room between the best schedule known and the bound. A
-# model of reduced cost $0.48 > \Delta$ cannot be in a better schedule: b2 is out at both steps, and
-# four schedules are left.
+# The room between the best schedule known and the bound is $\Delta = 0.725 - 0.258 = 0.467$. A
+# model of reduced cost $0.48 > \Delta$ is in no better schedule: b2 is out, four schedules are
+# left.
 #
 # ## In general
 #
@@ -97,9 +99,9 @@ plt.show()
 # $$G_{tw} = 2\,\mu_{tw}^\top (Md)_t + \ell_{tw}, \quad r_{tw} = G_{tw} - \min_v G_{tv} \ge 0, \quad
 # LB(d) = \sum_t \min_w G_{tw} - d^\top M d .$$
 #
-# No term after $LB(d)$ is negative. The best $d$ is the mean error of the relaxation (notebook 4); a bad
-# one makes the bound loose, never wrong. We check the identity on all 65,536 schedules of a longer cart:
-# dear thrust, eight steps, four models with signs drawn for every step.
+# No term after $LB(d)$ is negative. The best $d$ is the mean error of the relaxation (notebook 4);
+# a bad one makes the bound loose, never wrong. We check the identity on all 65,536 schedules of a
+# longer cart: dear thrust, eight steps, four models with signs drawn for every step.
 
 
 # %%
@@ -151,25 +153,24 @@ assert (reduced > room).sum() == 4 and not (reduced > room)[steps, best].any()
 # %% [markdown]
 # ## Labels: what a partial schedule must remember
 #
-# Back to two steps. Under `preview` the square is a sum over steps, read from the last to the first:
-# deviations $\varepsilon_t = \mu_{t,w_t} - d_t$ enter a costate,
+# Back to two steps. Under `preview` the square is a sum over steps, read from the last to the
+# first: deviations $\varepsilon_t = \mu_{t,w_t} - d_t$ enter a costate,
 #
 # $$h_t = P_{t+1} C \varepsilon_t + g_{t+1}, \qquad g_t = (A - BK_t)^\top h_t, \qquad
 # \text{step } t \text{ pays } (B^\top h_t)^\top S_t^{-1} (B^\top h_t).$$
 #
-# Here $P_2 = 1$, $S_1 = 2$, $A - BK_1 = \frac12$. (For a moment let $d = 0$, so that
-# labels carry plain costs.) Choosing b1 last costs $0.2 + \frac12 \cdot 0.25 = 0.325$; b0 costs
-# $\frac12 = 0.5$. The cheaper one looks better, and is not: with costate $g_1 = \frac12$, b0 can be
-# cancelled by what step 0 adds, $\frac32 \cdot (-0.5) + \frac12 = -\frac14$. So a **label** is (extra cost
-# so far, costate $g$, models chosen). The costate, $n$ numbers however long the horizon, is all that
-# earlier steps feel of it.
+# Here $P_2 = 1$, $S_1 = 2$, $A - BK_1 = \frac12$. (For a moment $d = 0$, so costs are plain.)
+# Choosing b1 last costs $0.2 + \frac12 \cdot 0.25 = 0.325$; b0 costs $\frac12 = 0.5$. The cheaper
+# one is not better: b0 leaves the costate $g_1 = \frac12$, and b1 at step 0 cancels most of it,
+# $\frac32 \cdot (-0.5) + \frac12 = -\frac14$. So a **label** is (extra cost so far, costate $g$,
+# models chosen). The costate, $n$ numbers whatever $H$, is all that earlier steps feel of it.
 #
 # ## When a label may die
 #
-# **Over budget**: its extra $x$ exceeds $\Delta$. **Dominated**: let labels $i$, $j$ of one
-# step have costates at distance $\rho$, $\rho^2 = (g_i - g_j)^\top W_t (g_i - g_j)$, where
-# $W_{t+1} = B S_t^{-1} B^\top + (A - BK_t) W_t (A - BK_t)^\top$, $W_0 = 0$, sums up what all earlier
-# steps feel. For any completion, their squares obey $\sqrt{q_i} \le \sqrt{q_j} + \rho$, and one within
+# **Over budget**: its extra $x$ exceeds $\Delta$. **Dominated**: let labels $i$, $j$ of one step
+# have costates at distance $\rho$, $\rho^2 = (g_i - g_j)^\top W_t (g_i - g_j)$, where $W_{t+1} = B
+# S_t^{-1} B^\top + (A - BK_t) W_t (A - BK_t)^\top$, $W_0 = 0$, sums up what all earlier steps
+# feel. For any completion, their squares obey $\sqrt{q_i} \le \sqrt{q_j} + \rho$, and one within
 # the room has $q_j \le \Delta - x_j$. So $i$ is never worse, and $j$ may die, if
 #
 # $$x_i + 2\rho\sqrt{\Delta - x_j} + \rho^2 \le x_j .$$
@@ -240,11 +241,11 @@ figure.legend(loc="outside lower center", ncols=3)
 plt.show()
 
 # %% [markdown]
-# Why does a dominated label lose for *every* completion? Seen from the earlier steps a label is a
-# parabola: up to common terms it will cost $x + (v + y)^2$, where $y$ is its costate in the units of
-# $\rho$ and $v$ what they add. Equal shapes cross once. Dominance says: they cross where $j$ has left
-# the room. So each kept label kills what lies above the curve $x = \Delta - (\sqrt{\Delta - x_i} -
-# \rho)^2$, as far as $\rho \le \sqrt{\Delta - x_i}$.
+# Seen from the earlier steps a label is a parabola: up to common terms it will cost $x + (v +
+# y)^2$, where $y$ is its costate in the units of $\rho$ and $v$ what they add. Equal shapes cross
+# once. Dominance says: they cross where $j$ has left the room (in all dimensions: exercise 2).
+# Each kept label kills what lies above the curve $x = \Delta - (\sqrt{\Delta - x_i} - \rho)^2$, as
+# far as $\rho \le \sqrt{\Delta - x_i}$.
 
 # %% alt="Three parabolas over v with a horizontal line at the room. Wherever j is below the line, i is below j: they cross above it, so i kills j. Parabola k is the lowest of the three on one side, and lives." tags=["hide-input"]
 law, felt, t = ms.riccati(task), [0.0], 4
@@ -273,14 +274,15 @@ axes.set_title(f"Step {t}: within the room $i$ is below $j$, so $j$ dies; $k$ li
 plt.show()
 
 # %% [markdown]
-# The module's `dynamic_program` is this search for every pattern, $p$ and cost, in **passes** that keep at
-# most 64, 512, 4096, ... labels a step. A pass that had room for all is a proof; one that dropped some
-# still proves what those cost at least, and its schedule narrows the room of the next.
+# The module's `dynamic_program` is this search for every pattern, $p$ and cost, in **passes** that
+# keep at most 64, 512, 4096, ... labels a step. A pass that had room for all is a proof; one that
+# dropped some still proves what those cost at least, and its schedule narrows the room of the
+# next.
 #
 # ## Branch and bound: the same bound on a tree
 #
-# Relax. If the bound does not reach the best schedule known, split a step: a child for each model that
-# reduced costs leave there; relax each. A node whose bound reaches the best known is pruned.
+# Relax. If the bound does not reach the best schedule known, split a step: a child for each model
+# that reduced costs leave there; relax each. A node whose bound reaches the best known is pruned.
 
 # %% alt="A tree of 16 nodes drawn from left to right. The root's bound is 10.028. Its four children settle step 2, theirs other steps; each node names step and model. The six that were split show bounds below the optimum 11.589; below the dotted leaves nothing is cheaper than it." tags=["hide-input"]
 tree = ms.branch_and_bound(problem).work["tree"]
@@ -322,9 +324,9 @@ assert min(leaves) >= costs.min() * (1 - 1e-9) and tree[0].bound < costs.min()
 # %% [markdown]
 # ## Whose word is a bound?
 #
-# `check_certificate` derives the cost and $LB(d)$ anew, and nothing else. What a search proved beyond
-# $LB(d)$ it cannot repeat: it accepts any `lower_bound` between the two. `Schedule.proof` says what carries
-# the bound, `"root"` (three lines that you can check) or `"search"` (the search's word).
+# `check_certificate` derives cost and $LB(d)$ anew, and accepts any `lower_bound` between the two:
+# what a search proved it cannot repeat. `Schedule.proof` says what carries the bound, `"root"`
+# (three lines that you can check) or `"search"` (a search's word).
 
 # %%
 forged = replace(quick, lower_bound=quick.cost)  # not the optimum
@@ -334,14 +336,14 @@ assert forged.is_optimal and forged.cost > 1.01 * costs.min() and forged.proof =
 # %% [markdown]
 # ## Switching costs and a budget: the same certificate
 #
-# Let a change of model cost $\sigma$, and let a schedule spend at most $K$. For any $d$ and any $\lambda \ge 0$, put
-# $\lambda$ times the prices into $G$ and into the arcs. The cheapest **path** takes the place of the
-# sum of minima:
+# Let a change of model cost $\sigma$, and let a schedule spend at most $K$. For any $d$ and any
+# $\lambda \ge 0$, a price on the budget, put $\lambda$ times the spending into $G$ and the arcs.
+# The cheapest **path** takes the place of the sum of minima:
 #
 # $$\mathrm{total}(c) = LB(d, \lambda) + (\text{path of } c - \text{cheapest path}) + \lambda\,(K - \mathrm{spent}(c)) + \text{square}.$$
 #
-# On two steps, with $\sigma = 0.3$: nodes 0.133 for b0 and b1, so the cheapest path stays with one of them and the
-# bound is 0.258 as before; `[1 0]` now has a path excess of 0.3 and costs 1.025, so the optimum is `[1 1]`.
+# On two steps, with $\sigma = 0.3$: the cheapest path stays with b0 or b1, and the bound is 0.258
+# as before; `[1 0]` has a path excess of 0.3 and costs 1.025, so `[1 1]` is the optimum.
 
 # %%
 K, toll = 3.0, 0.5 * (1 - np.eye(4))
@@ -356,9 +358,8 @@ bound = path.min() - d @ M @ d - lam * K
 parts = path - path.min() + lam * (K - spent) + ((away @ M) * away).sum(axis=1)
 np.testing.assert_allclose(bound + parts, limited.total_cost(everything))
 answer = ms.solve(limited)
-print(
-    f"{bound:.2f} <= {answer.cost:.2f}: {answer.choices}, spends {limited.perception_term(answer.choices):.1f} of {K:.0f}, lambda {lam:.2f}"
-)
+used = limited.perception_term(answer.choices)
+print(f"{bound:.2f} <= {answer.cost:.2f}: {answer.choices}, spends {used} of {K}, lambda {lam:.2f}")
 assert answer.is_optimal and np.isclose(
     answer.cost, limited.total_cost(everything)[spent <= K].min()
 )
@@ -366,7 +367,7 @@ assert answer.is_optimal and np.isclose(
 # %% [markdown]
 # ## The paper's experiment
 #
-# $H = 150$, $W = 8$: $8^{150}$ schedules. The identity proves it without any search.
+# $H = 150$, $W = 8$, proved by the identity alone:
 
 # %%
 full = landing.run_experiment(landing.Settings(trials=1)).problem
@@ -380,8 +381,8 @@ for case, c in ((full, claim.choices), (problem, best)):
     print(f"LB(mean of the optimum) / optimum = {own / case.total_cost(c):.3f}")
 
 # %% [markdown]
-# One schedule is left: ours. Here even the optimum's own mean would do as $d$; on the cart it is a poor
-# point. Now change one thing: the sign of one model.
+# Of $8^{150}$ schedules one is left: ours. Here even the optimum's own mean would do as $d$; on
+# the cart it is a poor point. Now change the sign of one model.
 
 # %%
 curves = {}
@@ -408,12 +409,12 @@ axes.legend(title="flipped")
 plt.show()
 
 # %% [markdown]
-# What cancels is cheap, and hard to prove: a blend cancels even better, so the bound is too low and a
+# Cancelling is cheap, and hard to prove: a blend cancels even better, so the bound is low and a
 # search must close the gap.
 #
-# **When no proof comes in time.** The problem is NP-hard (`remark:np_status`, notebook 4). A random $\Psi$ of
-# rank 8 with $p = 2$ defeats 4,096 labels at 20 steps; yet a tree proves it, and longer ones too. Length
-# alone is not the difficulty.
+# **When no proof comes in time.** The problem is NP-hard (`remark:np_status`, notebook 4). A
+# random $\Psi$ of rank 8 with $p = 2$ defeats 4,096 labels at 20 steps; a tree proves it, and 30
+# steps in fewer nodes, but not 60: length alone is not the difficulty.
 
 
 # %%
@@ -429,26 +430,29 @@ trees = {H: ms.branch_and_bound(rough(H), max_nodes=500) for H in (20, 30, 60)}
 print(f"20 steps by labels: gap {narrow.gap:.0%}")
 print("by trees of 500 nodes:", {H: f"gap {tree.gap:.0%}" for H, tree in trees.items()})
 assert trees[20].is_optimal and trees[30].is_optimal and np.isclose(narrow.cost, trees[20].cost)
+assert trees[30].work["nodes"] < trees[20].work["nodes"] < 500 and not trees[60].is_optimal
 
 # %% [markdown]
-# The labels had the optimum of the 20 steps, without the proof: a gap does not say that a schedule is bad.
+# The labels had the optimum of the 20 steps, without the proof: a gap does not say that a schedule
+# is bad.
 #
-# **In one paragraph.** Any $d$ splits every cost into a bound, reduced costs and a square. Reduced costs rule
-# models out. The rest is searched from the last step: a label remembers its extra cost and its costate,
-# and dies over budget or near a cheaper label. A tree uses the same bound, switching costs and budgets the
-# same identity. Next: where $d$ comes from.
+# **In one paragraph.** Any $d$ splits every cost into a bound, reduced costs and a square. Reduced
+# costs rule models out. The rest is searched from the last step: a label remembers its extra cost
+# and its costate, and dies over budget or near a cheaper label. A tree uses the same bound,
+# switching costs and budgets the same identity. Next: where $d$ comes from.
 #
 # ## Recall
 #
 # <details><summary>Why is LB(d) a bound for a badly chosen d, too?</summary>
 #
-# The identity holds for every $d$, and what follows $LB(d)$ is never negative. A bad $d$ makes the bound low.
+# The identity holds for every $d$, and what follows $LB(d)$ is never negative. A bad $d$ makes the
+# bound low.
 #
 # </details>
 # <details><summary>Two labels of one step: x = 1 and x = 2. May the dearer one die?</summary>
 #
-# Only if their costates are near: $1 + 2\rho\sqrt{\Delta - 2} + \rho^2 \le 2$. Otherwise earlier steps may cancel
-# the dearer one's costate and not the cheaper one's.
+# Only if their costates are near: $1 + 2\rho\sqrt{\Delta - 2} + \rho^2 \le 2$. Otherwise earlier
+# steps may cancel the dearer one's costate and not the cheaper one's.
 #
 # </details>
 # <details><summary>A schedule says gap 0 and proof "search". What can you check in three lines?</summary>
@@ -461,11 +465,12 @@ assert trees[20].is_optimal and trees[30].is_optimal and np.isclose(narrow.cost,
 #
 # ### Exercise 1: branch and bound by hand
 #
-# Write `branch(problem)`, about 20 lines, that returns choices, cost and the number of relaxations. Keep a
-# list of boolean tables `allowed` (H, W), at first all true, and a best schedule. Take a table;
-# `ms.relax_interior_point(problem, allowed=allowed, ceiling=cost)` gives a `.bound` and `.weights`. Round the weights to
-# a schedule; better than the best? Drop the table if its bound reaches `cost * (1 - 1e-9)` or if one
-# model a step is left. Otherwise split the step of the most divided weights: a child for each allowed model.
+# Write `branch(problem)`, about 20 lines, that returns choices, cost and the number of
+# relaxations. Keep a list of boolean tables `allowed` (H, W), at first all true, and a best
+# schedule. Take a table; `ms.relax_interior_point(problem, allowed=allowed, ceiling=cost)` gives a
+# `.bound` and `.weights`. Round the weights to a schedule; better than the best? Drop the table if
+# its bound reaches `cost * (1 - 1e-9)` or if one model a step is left. Otherwise split the step of
+# the most divided weights: a child for each allowed model.
 
 
 # %% tags=["exercise"]
@@ -504,9 +509,9 @@ print("Exercise 1: right")
 # %% [markdown]
 # ### Exercise 2: a ball in a ball
 #
-# Label $(x, y)$ can still be completed by those $v$ with $x + |v + y|^2 \le \Delta$: a ball about $-y$. Show on paper
-# that dominance says that the ball of $j$ lies in the ball of $i$, and write `dominates` in that form, for
-# vectors $y$ and extras up to $\Delta$.
+# Label $(x, y)$ can still be completed by those $v$ with $x + |v + y|^2 \le \Delta$: a ball about
+# $-y$. Show on paper that dominance says that the ball of $j$ lies in the ball of $i$, and write
+# `dominates` in that form, for vectors $y$ and extras up to $\Delta$.
 
 
 # %% tags=["exercise"]
@@ -539,8 +544,9 @@ print("Exercise 2: right")
 # %% [markdown]
 # ### Exercise 3: the cheapest path
 #
-# Write `path_bound(problem, d)`: $LB(d)$ of a problem with switching costs (`problem.beta * problem.switch_cost` are
-# the arcs; $p = 1$, no budget) in $O(HW^2)$, without a bound of ours: from step to step, the cheapest way to each model.
+# Write `path_bound(problem, d)`: $LB(d)$ of a problem with switching costs (`problem.beta *
+# problem.switch_cost` are the arcs; $p = 1$, no budget) in $O(HW^2)$, without a bound of ours:
+# from step to step, the cheapest way to each model.
 
 
 # %% tags=["exercise"]
@@ -571,9 +577,9 @@ print("Exercise 3: right")
 # %% [markdown]
 # ### Exercise 4 (open): one sign, and yet a gap
 #
-# The published errors have one sign, no entry of its $\Psi$ is negative, and the root proves it. Is that why?
-# Predict, then build `one_sign()`: a problem with positive means and $\Psi \ge 0$ whose relaxation
-# stays more than 20% below the optimum. Say in a sentence why it does. Then try to make it fail.
+# The published errors have one sign, no entry of its $\Psi$ is negative, and the root proves it.
+# Is that why? Predict, then build `one_sign()`: a problem with positive means and $\Psi \ge 0$
+# whose relaxation stays more than 20% below the optimum. Say in a sentence why.
 
 
 # %% tags=["exercise"]

@@ -35,9 +35,10 @@ BLUE, RED, GREEN, AMBER = (
 # %% [markdown]
 # ## Two steps, two models, a square
 #
-# The cart of notebook 3 without the model that was ruled out: b0 is free and errs by $1$, b1 costs 0.2 and errs
-# by $-0.5$. A schedule is a table $b$ of zeros and ones with one 1 in each row (`eq:perEncoding`). The
-# **relaxation** drops the integers: $b_{tw} \ge 0$, $\sum_w b_{tw} = 1$. **Predict** where it is cheapest.
+# The cart of notebook 3 without the model that was ruled out: b0 is free and errs by $1$, b1 costs
+# 0.2 and errs by $-0.5$. A schedule is a table $b$ of zeros and ones with one 1 in each row
+# (`eq:perEncoding`). The **relaxation** drops the integers: $b_{tw} \ge 0$, $\sum_w b_{tw} = 1$.
+# **Predict** where it is cheapest.
 
 # %%
 one, mean = np.eye(1), np.tile([[1.0], [-0.5]], (2, 1, 1))
@@ -49,9 +50,9 @@ print(f"relaxed {relaxed.value:.3f} < best schedule {best.choices}: {best.cost:.
 np.testing.assert_allclose(relaxed.reference, [2 / 45, 4 / 45], atol=1e-6)
 
 # %% [markdown]
-# By hand: weight moved from b0 to b1 changes the error $d_t$ by $-1.5$ and costs 0.2, so inside the square
-# $2 (\Psi d)_t \cdot 1.5 = 0.2$ at both steps. With $\Psi = (0.9, 0.3;\ 0.3, 0.6)$ that gives $d = (\frac{2}{45},
-# \frac{4}{45})$: the star of notebook 3, and its 0.258.
+# By hand: weight moved from b0 to b1 changes the error $d_t$ by $-1.5$ and costs 0.2, so inside
+# the square $2 (\Psi d)_t \cdot 1.5 = 0.2$ at both steps. With $\Psi = (0.9, 0.3;\ 0.3, 0.6)$ that
+# gives $d = (\frac{2}{45}, \frac{4}{45})$: the star of notebook 3, and its 0.258.
 
 # %% alt="Contours of the relaxed cost over the square of weights: a valley whose lowest point, 0.258, lies inside at (0.64, 0.61). The four corners are the schedules and cost 2.100, 0.950, 0.725 and 0.925, all more." tags=["hide-input"]
 side, corners = np.linspace(0, 1, 101), np.array(list(product((0, 1), repeat=2)))
@@ -77,14 +78,16 @@ plt.show()
 # %% [markdown]
 # ## In general, and duality in two lines
 #
-# With $M = \alpha\Psi$ and the blended error $d_t = \sum_w b_{tw} \mu_{tw}$, minimise
-# $f(b) = d^\top M d + \sum_{tw} \ell_{tw} b_{tw}$, a convex quadratic over simplexes. Notebook 3's identity holds for
-# weights, too, and for $d$ the blended error its square vanishes:
+# With $M = \alpha\Psi$ and the blended error $d_t = \sum_w b_{tw} \mu_{tw}$, minimise $f(b) =
+# d^\top M d + \sum_{tw} \ell_{tw} b_{tw}$, a convex quadratic over simplexes. Notebook 3's
+# identity holds for weights, too: $f(b)$ is $LB$ at any point, plus $\sum r b$, plus a square. So
+# no $LB$ exceeds $\min f$; and at $d$ itself the square vanishes:
 #
 # $$f(b) = LB(d) + \sum_{tw} r_{tw} b_{tw}, \qquad LB(d) \le \min f .$$
 #
-# At the minimum no weight is where $r > 0$ (moving it would gain), so $LB = f$: **max LB = min f**. Anywhere
-# else $\sum r b$ is the **duality gap** of Frank and Wolfe: it needs no optimum to compare with.
+# At the minimum no weight is where $r > 0$ (moving it would gain), so $LB = f$: **max LB = min
+# f**. Anywhere else $\sum r b$ is the **duality gap** of Frank and Wolfe: it needs no optimum to
+# compare with.
 
 
 # %%
@@ -113,15 +116,16 @@ for most in (0, 1, 2, 10):
     assert bound <= relaxed.value + 1e-12 <= value + 2e-12
 
 # %% [markdown]
-# The nearest point of a simplex is $\max(v - h, 0)$, with one threshold $h$ that makes it sum to 1: for $v = (0.9, 0.5, -0.2)$,
-# $h = 0.2$ and the point is $(0.7, 0.3, 0)$.
+# The nearest point of a simplex is $\max(v - h, 0)$, with one threshold $h$ that makes it sum to
+# 1: for $v = (0.9, 0.5, -0.2)$, $h = 0.2$ and the point is $(0.7, 0.3, 0)$.
 #
 # ## Conditioning
 #
-# A gradient step is as long as the steepest direction allows. Along a direction of curvature $\lambda$
-# it covers a share $\lambda / L$ of the way, so rounds grow with $\kappa$, the largest eigenvalue of $\Psi$ over the
-# smallest. Nesterov's momentum (`relax`) makes that about $\sqrt\kappa$. Newton's method (`relax_interior_point`)
-# bends each step by the curvature, for a linear system of size $pH$ a round.
+# A gradient step is as long as the steepest direction allows. Along a direction of curvature
+# $\lambda$ it covers a share $\lambda / L$ of the way, so rounds grow with $\kappa$, the largest
+# eigenvalue of $\Psi$ over the smallest. Nesterov's momentum (`relax`) makes that about
+# $\sqrt\kappa$. Newton's method (`relax_interior_point`) bends each step by the curvature, for a
+# linear system of size $pH$ a round.
 
 
 # %%
@@ -171,8 +175,8 @@ plt.show()
 #
 # ## From weights to a schedule
 #
-# The published relaxation is (nearly) a schedule already. Give each model a sign of its own (textbook
-# aircraft, `preview`) and weights divide:
+# The published relaxation is (nearly) a schedule already. Give each model a sign of its own
+# (textbook aircraft, `preview`) and weights divide:
 
 # %%
 aircraft = landing.preset("textbook")
@@ -186,12 +190,13 @@ print("steps with divided weights:", (b.max(axis=1) < 0.999).sum(), "of 150")
 print("models that share one step: at most", (b > 1e-3).sum(axis=1).max())
 
 # %% [markdown]
-# Two are enough where $p = 1$: the cheapest way to a mean error $d_t$ lies on an edge of the lower convex envelope of the
-# points $(\mu_{tw}, \ell_{tw})$. (A property of the optimum, whichever method finds it.)
+# Two are enough where $p = 1$: the cheapest way to a mean error $d_t$ lies on an edge of the lower
+# convex envelope of the points $(\mu_{tw}, \ell_{tw})$. (A property of the optimum, whichever
+# method finds it.)
 #
-# **Round and swap**: take the largest weight of each step, then change single steps while that helps.
-# **Draw**: take model $w$ at step $t$ with chance $b_{tw}$. The mean error is $d$ as promised, but the
-# draw adds its own variance:
+# **Round and swap**: take the largest weight of each step, then change single steps while that
+# helps. **Draw**: take model $w$ at step $t$ with chance $b_{tw}$. The mean error is $d$ as
+# promised, but the draw adds its own variance:
 #
 # $$\mathbb{E}\,\mathrm{total} = f(b) + \alpha \sum_t \mathrm{tr}(\Psi_{tt} V_t), \qquad
 # V_t = \sum_w b_{tw} (\mu_{tw} - d_t)(\mu_{tw} - d_t)^\top .$$
@@ -242,16 +247,17 @@ right.legend(fontsize=13)
 plt.show()
 
 # %% [markdown]
-# An average is never below the least of its numbers, so no lottery has a lower *expected* cost than the best
-# schedule; and one row at a time moves to its best corner without raising the expectation (exercise 1). That
-# is all. The best of many draws may well beat rounding, as here.
+# An average is never below the least of its numbers, so no lottery has a lower *expected* cost
+# than the best schedule; and one row at a time moves to its best corner without raising the
+# expectation (exercise 1). That is all. The best of many draws may well beat rounding, as here.
 #
 # ## Switching costs: whole schedules as columns
 #
 # With arcs between steps, weights on single models do not know what a change costs. **Column
-# generation** (Dantzig and Wolfe) puts weights on whole schedules: a *master* finds the best mixture of a few
-# columns, its $d$ prices the models, the cheapest path at these prices is the next column, or the proof that there
-# is none. The master is our relaxation again, with one step whose "models" are the columns.
+# generation** (Dantzig and Wolfe) puts weights on whole schedules: a *master* finds the best
+# mixture of a few columns, its $d$ prices the models, the cheapest path at these prices is the
+# next column, or the proof that there is none. The master is our relaxation again, with one step
+# whose "models" are the columns.
 
 # %%
 switching = replace(toy, switch_cost=0.3 * (1 - np.eye(2)))
@@ -272,12 +278,14 @@ np.testing.assert_allclose(bound, ms.relax_by_columns(switching).bound, rtol=1e-
 # %% [markdown]
 # ## Problem 4: where fractions are legal
 #
-# The paper's section V blends the worst and the best model, $c_t \in [0, 1]$ (`eq:perModelExpCont`). With $\delta = \mu^{best} -
-# \mu^{worst}$ and $D$ ($pH \times H$) holding $\delta_t$ in column $t$, the cost is $c^\top \Psi' c + g^\top c + \mathrm{const}$,
-# $\Psi' = \alpha D^\top \Psi D$. **Theorem 4** (`thm:psi`) in one line: $x^\top \Psi' x = \alpha (Dx)^\top \Psi (Dx) \ge 0$, for
-# every suite. So it is a convex quadratic over a box: polynomial. It is this notebook's relaxation with two
-# models; *drawing* one with chance $c_t$ would add $\alpha c_t (1 - c_t)\, \delta_t^\top \Psi_{tt} \delta_t$ and end that.
-# (The paper's assumption, its semidefinite form and all errata: [paper.md](paper.md).)
+# The paper's section V blends the worst and the best model, $c_t \in [0, 1]$
+# (`eq:perModelExpCont`). With $\delta = \mu^{best} - \mu^{worst}$ and $D$ ($pH \times H$) holding
+# $\delta_t$ in column $t$, the cost is $c^\top \Psi' c + g^\top c + \mathrm{const}$, $\Psi' =
+# \alpha D^\top \Psi D$. **Theorem 4** (`thm:psi`) in one line: $x^\top \Psi' x = \alpha (Dx)^\top
+# \Psi (Dx) \ge 0$, for every suite. So it is a convex quadratic over a box: polynomial. It is this
+# notebook's relaxation with two models; *drawing* one with chance $c_t$ would add $\alpha c_t (1 -
+# c_t)\, \delta_t^\top \Psi_{tt} \delta_t$ and end that. (The paper's assumption, its semidefinite
+# form and all errata: [paper.md](paper.md).)
 
 # %%
 for name, problem in {"toy": toy, "published": published, "mixed": mixed}.items():
@@ -292,18 +300,21 @@ for name, problem in {"toy": toy, "published": published, "mixed": mixed}.items(
 #
 # `remark:np_status` leaves open whether selection is NP-hard. It is:
 #
-# > **Decision problem.** Given (rational) $A, B, C, Q, R, H$, errors, prices and a number $K$: is there a schedule
-# > of total at most $K$? *In NP*: its cost, one linear system and a sum, is quickly checked.
+# > **Decision problem.** Given (rational) $A, B, C, Q, R, H$, errors, prices and a number $K$: is
+# > there a schedule of total at most $K$? *In NP*: its cost, one linear system and a sum, is quickly
+# > checked.
 # >
-# > **Direction.** A known hard problem is written *as* a selection problem, in time polynomial in its length. So
-# > whoever selects fast solves it fast. (The other direction would prove nothing.)
+# > **Direction.** A known hard problem is written *as* a selection problem, in time polynomial in
+# > its length. So whoever selects fast solves it fast. (The other direction would prove nothing.)
 # >
-# > **PARTITION** (split positive integers into halves of equal sum) with one state: a robot that acts only at $t = 0$ and pays for
-# > the end has $\Psi = \frac12 \mathbf{1}\mathbf{1}^\top$. Let model 0 err by $+a_t$, model 1 by $-a_t$ for a crumb more: cost
-# > $\frac12 (\sum \pm a_t)^2$ and less than $\frac14$. Below $\frac12$ **if and only if** the integers split. *Weakly* hard.
+# > **PARTITION** (split positive integers into halves of equal sum) with one state: a robot that
+# > acts only at $t = 0$ and pays for the end has $\Psi = \frac12 \mathbf{1}\mathbf{1}^\top$. Let
+# > model 0 err by $+a_t$, model 1 by $-a_t$ for a crumb more: cost $\frac12 (\sum \pm a_t)^2$ plus
+# > less than $\frac14$, below $\frac12$ **if and only if** the integers split. *Weakly* hard.
 # >
-# > **MAXIMUM CUT** with $H$ states, errors $\pm 1$: the cost is $H(2H^2 - 4\,\mathrm{cut}) - H$ and less than $\frac12$, with
-# > numbers no larger than a polynomial in $H$. *Strongly* hard (Karp 1972, both).
+# > **MAXIMUM CUT** with $H$ states, errors $\pm 1$: the cost is $H(2H^2 - 4\,\mathrm{cut}) - H$ plus
+# > less than $\frac12$, with numbers no larger than a polynomial in $H$. *Strongly* hard (Karp 1972,
+# > both).
 
 # %%
 for integers in ([3, 1, 1, 2, 2, 1], [5, 5, 5, 3]):
@@ -321,8 +332,8 @@ print(
 assert (graph & (side[:, None] != side)).sum() == max(cuts)
 
 # %% [markdown]
-# *Weakly*: the search's labels carry one number here, the signed sum so far, and equal sums merge. Few sums, few
-# labels; larger integers, more (pseudo-polynomial).
+# *Weakly*: the search's labels carry one number here, the signed sum so far, and equal sums merge.
+# Few sums, few labels; larger integers, more (pseudo-polynomial).
 
 # %% alt="Counts against steps decided, on a log axis, for 40 integers below 30 and for 40 below 1000. The partial schedules pass a million at step 20; the distinct signed sums level off near 600 and near 20,000, and the labels kept stay at or below them." tags=["hide-input"]
 figure, axes = plt.subplots(figsize=(10, 5.4))
@@ -345,14 +356,15 @@ axes.legend(fontsize=12, loc="lower right")
 plt.show()
 
 # %% [markdown]
-# What this does not say: anything about typical instances (the published one is closed by its relaxation), or about
-# `causal` and `measurement`, where steps decouple.
+# What this does not say: anything about typical instances (the published one is closed by its
+# relaxation), or about `causal` and `measurement`, where steps decouple.
 #
-# **In one paragraph.** Letting choices be fractions makes selection convex; value and bound bracket its optimum at any
-# iterate, and meet at the best. Gradients get there slowly on a stiff $\Psi$, Newton's method does not. The bound is for
-# schedules, too; rounding and swapping gives one, a search closes the gap. Lotteries have no lower expectation. With
-# switching costs the fractions are of whole schedules. Problem 4 is the relaxation itself, and polynomial; the discrete
-# problem is NP-hard. Next: the paper's landing.
+# **In one paragraph.** Letting choices be fractions makes selection convex; value and bound
+# bracket its optimum at any iterate, and meet at the best. Gradients get there slowly on a stiff
+# $\Psi$, Newton's method does not. The bound is for schedules, too; rounding and swapping gives
+# one, a search closes the gap. Lotteries have no lower expectation. With switching costs the
+# fractions are of whole schedules. Problem 4 is the relaxation itself, and polynomial; the
+# discrete problem is NP-hard. Next: the paper's landing.
 #
 # ## Recall
 #
@@ -363,7 +375,8 @@ plt.show()
 # </details>
 # <details><summary>Why are two models a step enough for the relaxation, if p = 1?</summary>
 #
-# A mean $d_t$ is had most cheaply on an edge of the lower envelope of the points $(\mu, \ell)$, and an edge has two ends.
+# A mean $d_t$ is had most cheaply on an edge of the lower envelope of the points $(\mu, \ell)$,
+# and an edge has two ends.
 #
 # </details>
 # <details><summary>To show that your problem is NP-hard: do you write it as PARTITION, or PARTITION as it?</summary>
@@ -376,9 +389,9 @@ plt.show()
 #
 # ### Exercise 1: draw without luck
 #
-# Write `derandomise(problem, b)`: choices (H,) that cost *at most* `expected_draw(problem, b)`. Go through the steps; at each,
-# set row $t$ to every corner in turn, keep the one of the least expected draw, and go on with the changed weights. Leave
-# the caller's `b` as it is.
+# Write `derandomise(problem, b)`: choices (H,) that cost *at most* `expected_draw(problem, b)`. Go
+# through the steps; at each, set row $t$ to every corner in turn, keep the one of the least
+# expected draw, and go on with the changed weights. Leave the caller's `b` as it is.
 
 
 # %% tags=["exercise"]
@@ -416,9 +429,10 @@ print("Exercise 1: right")
 # %% [markdown]
 # ### Exercise 2: climb without a solver
 #
-# Maximise $LB$: write `climb(problem, steps)`. Start at the mean error $d$ of model 0 throughout. In round $k = 0, 1, \dots$ take the
-# schedule $c$ of reduced costs 0 at $d$ and move: $d \leftarrow d + \frac{2}{k + 2} (\mu_c - d)$ (Frank and Wolfe). The
-# bound does not rise in every round: return the $d$ of the highest seen. You may call `ms.reference_bound`.
+# Maximise $LB$: write `climb(problem, steps)`. Start at the mean error $d$ of model 0 throughout.
+# In round $k = 0, 1, \dots$ take the schedule $c$ of reduced costs 0 at $d$ and move: $d
+# \leftarrow d + \frac{2}{k + 2} (\mu_c - d)$ (Frank and Wolfe). The bound does not rise in every
+# round: return the $d$ of the highest seen. You may call `ms.reference_bound`.
 
 
 # %% tags=["exercise"]
@@ -446,9 +460,9 @@ print("Exercise 2: right")
 # %% [markdown]
 # ### Exercise 3: a reduction of your own
 #
-# SUBSET SUM: do some of the positive integers add up to `target`? Write `subset_problem(integers, target)`: a `SelectionProblem` with a
-# `psi` of your choice, two models and free of prices, whose optimum is 0 **if and only if** they do. (Hint: a last step at which both models
-# err alike.)
+# SUBSET SUM: do some of the positive integers add up to `target`? Write `subset_problem(integers,
+# target)`: a `SelectionProblem` with a `psi` of your choice, two models and free of prices, whose
+# optimum is 0 **if and only if** they do. (Hint: a last step at which both models err alike.)
 
 
 # %% tags=["exercise"]
@@ -477,8 +491,9 @@ print("Exercise 3: right")
 # %% [markdown]
 # ### Exercise 4 (open): when luck beats rounding
 #
-# Predict: can rounding the relaxation cost three times as much as an *average* draw with the same weights? Build `lucky()`, a problem
-# with $p = 1$ where it does, and say in a sentence why. Why does this not contradict exercise 1?
+# Predict: can rounding the relaxation cost three times as much as an *average* draw with the same
+# weights? Build `lucky()`, a problem with $p = 1$ where it does, and say in a sentence why. Why
+# does this not contradict exercise 1?
 
 
 # %% tags=["exercise"]

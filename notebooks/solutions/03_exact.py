@@ -1,9 +1,10 @@
 # %% [markdown]
 # ## Exercise 1
 #
-# The list is a stack, so this goes deep first and soon has a good schedule; `branch_and_bound` takes the
-# table of lowest bound next, which needs the fewest relaxations but a queue. Every schedule is in some table,
-# and a table is dropped only if its bound, or its only schedule, is no better than the best.
+# The list is a stack, so this goes deep first and soon has a good schedule; `branch_and_bound`
+# takes the table of lowest bound next, which needs the fewest relaxations but a queue. Every
+# schedule is in some table, and a table is dropped only if its bound, or its only schedule, is no
+# better than the best.
 
 
 # %%
@@ -32,9 +33,10 @@ def branch(problem):
 # ## Exercise 2
 #
 # Add $\Delta - x_j$ to both sides of $x_i + 2\rho\sqrt{\Delta - x_j} + \rho^2 \le x_j$. The left
-# side becomes $x_i$ plus a square: $x_i + (\rho + \sqrt{\Delta - x_j})^2 \le \Delta$. Move $x_i$ across
-# and take roots: $\rho + \sqrt{\Delta - x_j} \le \sqrt{\Delta - x_i}$. The distance of the centres
-# plus the radius of $j$ is at most the radius of $i$: the ball of $j$ lies inside the ball of $i$.
+# side becomes $x_i$ plus a square: $x_i + (\rho + \sqrt{\Delta - x_j})^2 \le \Delta$. Move $x_i$
+# across and take roots: $\rho + \sqrt{\Delta - x_j} \le \sqrt{\Delta - x_i}$. The distance of the
+# centres plus the radius of $j$ is at most the radius of $i$: the ball of $j$ lies inside the ball
+# of $i$.
 
 
 # %%
@@ -47,8 +49,9 @@ def dominates(x_i, y_i, x_j, y_j, room):
 # %% [markdown]
 # ## Exercise 3
 #
-# The cheapest way to model $w$ at step $t$ comes from some model $v$: $F_{tw} = G_{tw} + \min_v (F_{t-1,v} +
-# \beta\sigma_{vw})$. Without arcs the minimum is the same for all $w$, and $F$ adds up $\min_w G_{tw}$.
+# The cheapest way to model $w$ at step $t$ comes from some model $v$: $F_{tw} = G_{tw} + \min_v
+# (F_{t-1,v} + \beta\sigma_{vw})$. Without arcs the minimum is the same for all $w$, and $F$ adds
+# up $\min_w G_{tw}$.
 
 
 # %%
@@ -65,10 +68,11 @@ def path_bound(problem, d):
 # %% [markdown]
 # ## Exercise 4
 #
-# One step is enough. Model 0 is free and errs by 1, model 1 costs 1 and errs by 0.01: either costs 1. Half of
-# each errs by 0.5 and costs about $0.25 + 0.5$: a blend need not cancel errors to gain, as the square is convex
-# and the price of accuracy is linear. With more models between 0.01 and 1 the gap would close. That
-# the published problem has none is a fact of its numbers, not of its signs.
+# One step is enough. Model 0 is free and errs by 1, model 1 costs 1 and errs by 0.01: either
+# costs 1. Half of each errs by 0.5 and costs about $0.25 + 0.5$: a blend need not cancel errors
+# to gain, as the square is convex and the price of accuracy is linear. With more models between
+# 0.01 and 1 the gap would close. That the published problem has none is a fact of its numbers,
+# not of its signs.
 
 
 # %%

@@ -1,10 +1,10 @@
 # %% [markdown]
 # ## Exercise 1
 #
-# With the other rows fixed, the expectation is the average over $w$, with chances $b_{tw}$, of
-# the expectations with row $t$ at corner $w$. The least of these is at most their average, so no
-# step raises the expectation. After the last step every row is a corner, there is nothing left to
-# draw, and the expectation is the cost of the schedule.
+# With the other rows fixed, the expectation is the average over $w$, with chances $b_{tw}$, of the
+# expectations with row $t$ at corner $w$. The least of these is at most their average, so no step
+# raises the expectation. After the last step every row is a corner, there is nothing left to draw,
+# and the expectation is the cost of the schedule.
 
 
 # %%
@@ -24,9 +24,10 @@ def derandomise(problem, b):
 # ## Exercise 2
 #
 # $LB(d) = \sum_t \min_w G_{tw}(d) - d^\top M d$. Where schedule $c$ alone attains the minima, the
-# slope is $2M(\mu_c - d)$, so towards $\mu_c$ the bound rises at first (by twice the squared length
-# of $\mu_c - d$ under $M$). Step lengths $2/(k+2)$ make $d$ an average of means of schedules, hence the
-# blended error of some weights, and the bound converges to the top at a rate of $1/k$.
+# slope is $2M(\mu_c - d)$, so towards $\mu_c$ the bound rises at first (by twice the squared
+# length of $\mu_c - d$ under $M$). Step lengths $2/(k+2)$ make $d$ an average of means of
+# schedules, hence the blended error of some weights, and the bound converges to the top at a rate
+# of $1/k$.
 
 
 # %%
@@ -46,9 +47,10 @@ def climb(problem, steps):
 # %% [markdown]
 # ## Exercise 3
 #
-# Let model 0 err by 0 and model 1 by $a_t$, and let both err by minus the target at one more step. Under $\Psi =
-# \mathbf{1}\mathbf{1}^\top$ a schedule costs (chosen sum - target)$^2$: 0 exactly if the chosen integers add up to it. The problem is
-# written down in time proportional to the integers, so SUBSET SUM is no harder than selection.
+# Let model 0 err by 0 and model 1 by $a_t$, and let both err by minus the target at one more step.
+# Under $\Psi = \mathbf{1}\mathbf{1}^\top$ a schedule costs (chosen sum - target)$^2$: 0 exactly if
+# the chosen integers add up to it. The problem is written down in time proportional to the
+# integers, so SUBSET SUM is no harder than selection.
 
 
 # %%
@@ -62,10 +64,12 @@ def subset_problem(integers, target):
 # %% [markdown]
 # ## Exercise 4
 #
-# Let $\Psi = \mathbf{1}\mathbf{1}^\top$, and let every step have the same two models, $+1$ and $-1.5$. The relaxation blends them 3 : 2, so
-# that nothing is left. Rounding takes $+1$ everywhere: the errors add up, at a cost of $H^2$. Draws are independent, so only
-# variances add up: $1.5 H$. (The relaxation has many optima here; a method may return another one. A trifle of $\Psi_{tt}$ makes it unique.) Nor
-# is a draw below the best schedule, on average: two of five steps at $-1.5$ cost almost nothing.
+# Let $\Psi = \mathbf{1}\mathbf{1}^\top$, and let every step have the same two models, $+1$ and
+# $-1.5$. The relaxation blends them 3 : 2, so that nothing is left. Rounding takes $+1$
+# everywhere: the errors add up, at a cost of $H^2$. Draws are independent, so only variances add
+# up: $1.5 H$. (The relaxation has many optima here; a method may return another one. A trifle of
+# $\Psi_{tt}$ makes it unique.) Nor is a draw below the best schedule, on average: two of five
+# steps at $-1.5$ cost almost nothing.
 
 
 # %%
