@@ -96,8 +96,9 @@ plt.show()
 #
 # $$\mathrm{total}(c) = LB(d) + \sum_t r_{t,w_t} + (\mu_c - d)^\top M (\mu_c - d),$$
 #
-# $$G_{tw} = 2\,\mu_{tw}^\top (Md)_t + \ell_{tw}, \quad r_{tw} = G_{tw} - \min_v G_{tv} \ge 0, \quad
-# LB(d) = \sum_t \min_w G_{tw} - d^\top M d .$$
+# $$G_{tw} = 2\,\mu_{tw}^\top (Md)_t + \ell_{tw}, \quad r_{tw} = G_{tw} - \min_v G_{tv} \ge 0,$$
+#
+# $$LB(d) = \sum_t \min_w G_{tw} - d^\top M d .$$
 #
 # No term after $LB(d)$ is negative. The best $d$ is the mean error of the relaxation (notebook 4);
 # a bad one makes the bound loose, never wrong. We check the identity on all 65,536 schedules of a
@@ -200,15 +201,15 @@ def search(A, B, C, Q, R, mean, reduced, d, room):
                 paid = B.T @ h @ np.linalg.solve(S, B.T @ h)
                 grown.append((extra + reduced[t, w] + paid, closed.T @ h, (w, *later)))
         alive = []
-        for j in sorted(grown, key=lambda label: label[0]):
-            fate = "kept" if j[0] <= room else "over budget"
-            for i in alive if fate == "kept" else ():
-                rho = np.sqrt((i[1] - j[1]) @ felt[t] @ (i[1] - j[1]))
-                if i[0] + 2 * rho * np.sqrt(room - j[0]) + rho**2 <= j[0]:
+        for extra, g, models in sorted(grown, key=lambda label: label[0]):
+            fate = "kept" if extra <= room else "over budget"
+            for x, other, _ in alive if fate == "kept" else ():
+                rho = np.sqrt(max((g - other) @ felt[t] @ (g - other), 0))
+                if x + 2 * rho * np.sqrt(room - extra) + rho**2 <= extra:
                     fate = "dominated"
             if fate == "kept":
-                alive.append(j)
-            log.append((t, *j, fate))
+                alive.append((extra, g, models))
+            log.append((t, extra, g, models, fate))
     return alive[0], log
 
 
@@ -233,10 +234,8 @@ for fate, (marker, colour) in marks.items():
     axes.plot(*np.transpose(here), marker, color=colour, ms=9, mew=2, label=count)
 axes.axhline(1, color="black", lw=1)
 axes.set(xlim=(8.3, -0.3), ylim=(-0.05, 1.2), xlabel="step (8: nothing is chosen yet)")
-axes.set(
-    ylabel="extra cost / $\\Delta$, at most 1.12",
-    title="Few labels stay alive; one of them is the optimum",
-)
+axes.set_ylabel("extra cost / $\\Delta$ (over 1.12: drawn there)")
+axes.set_title("Few labels stay alive; one of them is the optimum")
 figure.legend(loc="outside lower center", ncols=3)
 plt.show()
 
@@ -275,9 +274,9 @@ plt.show()
 
 # %% [markdown]
 # The module's `dynamic_program` is this search for every pattern, $p$ and cost, in **passes** that
-# keep at most 64, 512, 4096, ... labels a step. A pass that had room for all is a proof; one that
-# dropped some still proves what those cost at least, and its schedule narrows the room of the
-# next.
+# keep at most 64, 512, 4096, ... labels a step (from 512 on with switching costs or a budget). A
+# pass that had room for all is a proof; one that dropped some still proves what those cost at
+# least, and its schedule narrows the room of the next.
 #
 # ## Branch and bound: the same bound on a tree
 #
@@ -340,7 +339,8 @@ assert forged.is_optimal and forged.cost > 1.01 * costs.min() and forged.proof =
 # $\lambda \ge 0$, a price on the budget, put $\lambda$ times the spending into $G$ and the arcs.
 # The cheapest **path** takes the place of the sum of minima:
 #
-# $$\mathrm{total}(c) = LB(d, \lambda) + (\text{path of } c - \text{cheapest path}) + \lambda\,(K - \mathrm{spent}(c)) + \text{square}.$$
+# $$\mathrm{total} = LB(d, \lambda) + (\text{path} - \text{cheapest path})
+# + \lambda\,(K - \mathrm{spent}) + \text{square}.$$
 #
 # On two steps, with $\sigma = 0.3$: the cheapest path stays with b0 or b1, and the bound is 0.258
 # as before; `[1 0]` has a path excess of 0.3 and costs 1.025, so `[1 1]` is the optimum.

@@ -326,10 +326,9 @@ graph = np.triu(np.random.default_rng(2).random((7, 7)) < 0.5, 1)
 sides = np.indices((2,) * 7).reshape(7, -1).T
 cuts = [(graph & (side[:, None] != side)).sum() for side in sides]
 side = ms.solve(ms.maximum_cut_problem(graph | graph.T)).choices
-print(
-    f"{graph.sum()} edges: our cut {(graph & (side[:, None] != side)).sum()}, largest {max(cuts)}"
-)
-assert (graph & (side[:, None] != side)).sum() == max(cuts)
+ours = (graph & (side[:, None] != side)).sum()
+print(f"{graph.sum()} edges: our cut {ours}, largest {max(cuts)}")
+assert ours == max(cuts)
 
 # %% [markdown]
 # *Weakly*: the search's labels carry one number here, the signed sum so far, and equal sums merge.
