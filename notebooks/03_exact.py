@@ -413,8 +413,8 @@ plt.show()
 # search must close the gap.
 #
 # **When no proof comes in time.** The problem is NP-hard (`remark:np_status`, notebook 4). A
-# random $\Psi$ of rank 8 with $p = 2$ defeats 4,096 labels at 20 steps; a tree proves it, and 30
-# steps in fewer nodes, but not 60: length alone is not the difficulty.
+# random $\Psi$ of rank 8 with $p = 2$ defeats 4,096 labels at 20 steps; a tree of 500 nodes proves
+# it, and 30 steps with fewer; 60 steps need more. Length alone is not the difficulty.
 
 
 # %%
