@@ -67,6 +67,10 @@ class Renderer(IPythonRenderer):
         r"""Render \begin{name}...\end{name} outside of dollars."""
         return mathml(rf"\begin{{{name}}}{body}\end{{{name}}}", "block")
 
+    def block_html(self, html: str) -> str:
+        """Leave a fold open: its answer is Markdown and ends with a block of its own."""
+        return html if re.match("</?details", html) else super().block_html(html)
+
     def heading(self, text: str, level: int, **attrs: object) -> str:
         """Give a heading an anchor; that of an exercise is its number."""
         words = re.sub(r"<[^>]*>", "", text).lower()
@@ -84,7 +88,9 @@ class Renderer(IPythonRenderer):
 
     def link(self, text: str, url: str, title: str | None = None) -> str:
         """Link to the web and to pages of the book; the project's other files are not in it."""
-        page = re.fullmatch(r"(?:\.\./|notebooks/)*(README|\d\d_\w+)\.(?:md|ipynb|py)(#.*)?", url)
+        page = re.fullmatch(
+            r"(?:\.\./|notebooks/)*(README|paper|\d\d_\w+)\.(?:md|ipynb|py)(#.*)?", url
+        )
         if page:
             url = f"{page[1].lower()}.html{page[2] or ''}"
         return super().link(text, url, title) if page or re.match("#|https?:", url) else text
@@ -148,7 +154,7 @@ def contents(notebooks: dict[str, NotebookNode]) -> str:
 def make_pages(
     notebooks: dict[str, NotebookNode], solutions: dict[str, NotebookNode]
 ) -> dict[str, str]:
-    """Return the pages of the book by file name: contents, chapters, README, solutions."""
+    """Return the pages of the book by file name: contents, chapters, paper.md, README, solutions."""
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
     chapters = [
         (f"{name}.html", title_of(notebook.cells[0].source), render(name, notebook))
@@ -156,6 +162,8 @@ def make_pages(
     ]
     opening = markdown(readme.partition("\n## ")[0], ROOT)
     chapters.insert(0, ("index.html", title_of(readme), opening + contents(notebooks)))
+    paper = (ROOT / "notebooks" / "paper.md").read_text(encoding="utf-8")
+    chapters.append(("paper.html", title_of(paper), markdown(paper)))
     chapters.append(("readme.html", "The project", markdown(readme, ROOT)))
     pages = {}
     for i, (file, title, body) in enumerate(chapters):

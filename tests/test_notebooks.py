@@ -20,6 +20,7 @@ import perception
 ROOT = Path(__file__).resolve().parents[1]
 NOTEBOOKS = ROOT / "notebooks"
 README = (ROOT / "README.md").read_text(encoding="utf-8")
+PAPER = (NOTEBOOKS / "paper.md").read_text(encoding="utf-8")
 NAMES = sorted(path.stem for path in NOTEBOOKS.glob("[0-9][0-9]_*.py"))
 MODULES = (modelselect, perception, landing)
 PUBLIC = {
@@ -59,7 +60,7 @@ def with_tag(name: str, tag: str) -> list[dict]:
 
 
 def section(mark: str) -> str:
-    return README.partition(f"<!-- {mark} -->")[2].partition(f"<!-- /{mark} -->")[0]
+    return PAPER.partition(f"<!-- {mark} -->")[2].partition(f"<!-- /{mark} -->")[0]
 
 
 # --- files ---
@@ -322,6 +323,7 @@ def test_a_change_is_shown_as_a_difference(build):
         (r"$$\begin{aligned} a &= 1 \\ &= 2 \end{aligned}$$", ["<mtable"]),
         ("- item $x$\n- other", ["<math"]),
         ("| a |\n|---|\n| $\\frac12$ |", ["<mfrac>"]),
+        ("<details><summary>q</summary>\n\n$x$\n\n</details>", ["</math></p>\n</details>"]),
         (r"\$5 and `$x$`, $5 to $6", ["<p>$5 and <code>$x$</code>, $5 to $6</p>"]),
     ],
 )

@@ -1,4 +1,4 @@
-"""The paper's errata, one row of README's table a test, and README's index of the paper.
+"""The paper's errata, one row of the table in notebooks/paper.md a test, and that page's index.
 
 Every `test_erratum_...` computes the printed form and the corrected one: the printed one is wrong
 in an explicit example, the corrected one agrees with an independent truth (simulation,
@@ -22,6 +22,7 @@ from modelselect import BlendProblem, ControlTask, SelectionProblem
 from strategies import dense_plan, every_schedule, plain_cost, plain_states, sign_patterns
 
 ROOT = Path(__file__).resolve().parents[1]
+PAGE = ROOT / "notebooks" / "paper.md"
 PAPER = ROOT.parent / "shared" / "paper" / "dynamic_selection.tex"
 
 
@@ -491,7 +492,7 @@ def test_erratum_the_caption_of_the_first_experiment_calls_77_percent_very_close
     assert round(second, 1) == 0.3  # here text and caption agree
 
 
-# -------------------------------------------------------------------------- README's two tables
+# --------------------------------------------------------------- the tables of notebooks/paper.md
 
 #: Labels of the paper's numbered items, in its order.
 LABELS = """
@@ -521,10 +522,10 @@ eq:sdp_form_1 eq:sdp_form_2 optAppx:sdp
 
 
 def between(marker):
-    """README's lines between <!-- marker --> and <!-- /marker -->."""
-    readme = (ROOT / "README.md").read_text(encoding="utf-8")
-    found = re.findall(rf"<!-- {marker} -->\n(.*?)<!-- /{marker} -->", readme, flags=re.DOTALL)
-    assert len(found) == 1, f"README.md: expected one table between the {marker} markers"
+    """The page's lines between <!-- marker --> and <!-- /marker -->."""
+    page = PAGE.read_text(encoding="utf-8")
+    found = re.findall(rf"<!-- {marker} -->\n(.*?)<!-- /{marker} -->", page, flags=re.DOTALL)
+    assert len(found) == 1, f"{PAGE.name}: expected one table between the {marker} markers"
     return found[0].splitlines()
 
 
@@ -568,13 +569,30 @@ def test_index_names_exist():
             path, name = test.split("::")
             known.setdefault(path, written_tests(path))
             assert name in known[path], f"{item}: no test {test}"
-        for notebook in re.findall(r"\(([^)]+)\)", notebooks):
-            assert (ROOT / notebook).is_file(), f"{item}: no notebook {notebook}"
+        for notebook in re.findall(r"\]\(([^)#]+)\)", notebooks):
+            assert (PAGE.parent / notebook).is_file(), f"{item}: no notebook {notebook}"
 
 
 def test_every_numbered_item_of_the_paper_is_in_the_index():
     listed = [label for item, *_ in rows("index") for label in quoted(item)]
     assert sorted(listed) == sorted(LABELS.split())  # each exactly once
+
+
+def test_names_of_what_is_beyond_the_paper_exist():
+    for item, functions, tests in rows("beyond"):
+        for call in quoted(functions):
+            name = call.partition("(")[0]
+            module = name.partition(".")[0]
+            full = (
+                name
+                if module in ("modelselect", "perception", "landing")
+                else f"modelselect.{name}"
+            )
+            assert (ROOT / name).is_file() or exists(full), f"{item}: no function {call}"
+        for test in quoted(tests):
+            path, _, name = test.partition("::")
+            assert not name or name in written_tests(path), f"{item}: no test {test}"
+            assert (ROOT / path).is_file(), f"{item}: no file {path}"
 
 
 def test_errata_table_is_complete():

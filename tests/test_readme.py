@@ -48,10 +48,12 @@ def test_the_commands_are_targets_of_the_makefile():
     assert {"landing", "test", "help"} <= set(named) <= set(targets)
 
 
-def test_files_and_pictures_it_links_to_exist():
-    links = re.findall(r"\]\(([^)#]+)\)", README)
+@pytest.mark.parametrize("page", ["README.md", "notebooks/paper.md"])
+def test_files_and_pictures_it_links_to_exist(page):
+    path = ROOT / page
+    links = re.findall(r"\]\(([^)#]+)\)", path.read_text(encoding="utf-8"))
     assert len(links) > 5
-    assert not [link for link in links if "://" not in link and not (ROOT / link).exists()]
+    assert not [link for link in links if "://" not in link and not (path.parent / link).exists()]
 
 
 def test_its_benchmark_rows_are_those_that_the_script_wrote():

@@ -1,42 +1,10 @@
 # %% [markdown]
 # ## Exercise 1
 #
-# The sum $\sum_{t,w} G_{tw}(b_{tw} - b'_{tw})$ is largest where $\sum_w G_{tw} b'_{tw}$ is least,
-# step by step. A linear function over a simplex is least at a corner, so that least value is
-# $\min_w G_{tw}$, and the gap is $\sum_t (\sum_w G_{tw} b_{tw} - \min_w G_{tw})$.
-
-# %%
-def frank_wolfe_gap(problem, b):
-    """Return the duality gap of the relaxation at the weights b (H, W), a float."""
-    H, _, p = problem.mean.shape
-    d = np.einsum("tw,twi->ti", b, problem.mean).ravel()
-    pull = (problem.quadratic @ d).reshape(H, p)
-    G = 2 * np.einsum("twi,ti->tw", problem.mean, pull) + problem.linear
-    return float((G * b).sum() - G.min(axis=1).sum())
-
-
-# %% [markdown]
-# ## Exercise 2
-#
-# On the line $x_0 + x_1 = 1$ the nearest point takes $h = (v_0 + v_1 - 1)/2$ from both entries,
-# so $c = v_1 - h = (1 + v_1 - v_0)/2$. The simplex is the part of that line with $0 \le c \le 1$,
-# and the squared distance along the line is $2(c - c^*)^2$ plus a constant: the nearest point of
-# the segment is $c^*$ clipped.
-
-
-# %%
-def project_pair(v):
-    """Return c (...) such that (1 - c, c) is the point of the simplex nearest to v (..., 2)."""
-    return np.clip((1 + v[..., 1] - v[..., 0]) / 2, 0, 1)
-
-
-# %% [markdown]
-# ## Exercise 3
-#
-# With the other rows fixed, the expectation is the average over $w$, with chances $b_{tw}$, of
-# the expectations with row $t$ at corner $w$. The least of these is at most their average, so no
-# step raises the expectation. After the last step every row is a corner, there is nothing left to
-# draw, and the expectation is the cost of the schedule.
+# With the other rows fixed, the expectation is the average over $w$, with chances $b_{tw}$, of the
+# expectations with row $t$ at corner $w$. The least of these is at most their average, so no step
+# raises the expectation. After the last step every row is a corner, there is nothing left to draw,
+# and the expectation is the cost of the schedule.
 
 
 # %%
@@ -53,20 +21,62 @@ def derandomise(problem, b):
 
 
 # %% [markdown]
-# ## Exercise 4
+# ## Exercise 2
 #
-# A schedule costs $\frac{H}{1+H}$ times the squared signed sum, plus less than half of
-# $\frac{H}{1+H}$. The signed sum is an integer: if it is zero the cost is below $\frac{H}{1+H}$,
-# otherwise at least $\tfrac12$. In the first case the steps of model 0 (sign $+$) and those
-# of model 1 (sign $-$) balance.
+# $LB(d) = \sum_t \min_w G_{tw}(d) - d^\top M d$. Where schedule $c$ alone attains the minima, the
+# slope is $2M(\mu_c - d)$, so towards $\mu_c$ the bound rises at first (by twice the squared
+# length of $\mu_c - d$ under $M$). Step lengths $2/(k+2)$ make $d$ an average of means of
+# schedules, hence the blended error of some weights, and the bound converges to the top at a rate
+# of $1/k$.
 
 
 # %%
-def halves(integers):
-    """Return two lists of equal sum that share out the integers, or None if there are none."""
-    schedule = ms.solve(ms.partition_problem(integers))
-    if schedule.cost > 0.375:  # well between the two cases, so rounding cannot matter
-        return None
-    plus, minus = ([a for a, w in zip(integers, schedule.choices, strict=True) if w == side]
-                   for side in (0, 1))  # fmt: skip
-    return plus, minus
+def climb(problem, steps):
+    """Return the reference point (pH,) of the highest bound seen in so many rounds."""
+    d = problem.chosen_mean(np.zeros(len(problem.mean)))
+    bound, reduced = ms.reference_bound(problem, d)
+    best, highest = d, bound
+    for k in range(steps):
+        d = d + 2 / (k + 2) * (problem.chosen_mean(reduced.argmin(axis=1)) - d)
+        bound, reduced = ms.reference_bound(problem, d)
+        if bound > highest:
+            best, highest = d, bound
+    return best
+
+
+# %% [markdown]
+# ## Exercise 3
+#
+# Let model 0 err by 0 and model 1 by $a_t$, and let both err by minus the target at one more step.
+# Under $\Psi = \mathbf{1}\mathbf{1}^\top$ a schedule costs (chosen sum - target)$^2$: 0 exactly if
+# the chosen integers add up to it. The problem is written down in time proportional to the
+# integers, so SUBSET SUM is no harder than selection.
+
+
+# %%
+def subset_problem(integers, target):
+    """Return a SelectionProblem whose optimum is 0 exactly if a subset adds up to the target."""
+    mean = np.array([[0, a] for a in integers] + [[-target, -target]], dtype=float)[:, :, None]
+    H = len(mean)
+    return ms.SelectionProblem(np.ones((H, H)), mean, 0 * mean, [0, 0])
+
+
+# %% [markdown]
+# ## Exercise 4
+#
+# Let $\Psi = \mathbf{1}\mathbf{1}^\top$, and let every step have the same two models, $+1$ and
+# $-1.5$. The relaxation blends them 3 : 2, so that nothing is left. Rounding takes $+1$
+# everywhere: the errors add up, at a cost of $H^2$. Draws are independent, so only variances add
+# up: $1.5 H$. (The relaxation has many optima here; a method may return another one. A trifle of
+# $\Psi_{tt}$ makes it unique.) Nor is a draw below the best schedule, on average: two of five
+# steps at $-1.5$ cost almost nothing.
+
+
+# %%
+def lucky():
+    """Return a SelectionProblem where drawing beats rounding, and a sentence that says why."""
+    H = 20
+    mean = np.tile([[1.0], [-1.5]], (H, 1, 1))
+    psi = np.ones((H, H)) + 0.01 * np.eye(H)
+    problem = ms.SelectionProblem(psi, mean, 0 * mean, [0, 0])
+    return problem, "rounding errs on the same side at every step, independent draws average out"
