@@ -9,6 +9,7 @@ pictures: `judge` tells how far its promise is kept, `regret_of_few` how many pi
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -143,7 +144,9 @@ def fit_landing(
     check_class("landing", landing, "Aircraft")
     check_class("measured", measured, "Residuals")
     h = landing.path[:-1]
-    suite = fit_suite(measured, h, cost, bins=altitude_bins(measured.altitude, h, bins))
+    with warnings.catch_warnings():  # of pictures taken beyond a short way
+        warnings.simplefilter("ignore")
+        suite = fit_suite(measured, h, cost, bins=altitude_bins(measured.altitude, h, bins))
     return guard_suite(suite) if guard else suite
 
 

@@ -101,7 +101,8 @@ def fit_suite(
         m = sum a_i r_i,   v = sum a_i (r_i - m)(r_i - m)' / (1 - sum a_i^2),   n = 1 / sum a_i^2
 
     with n rounded down in `sample_size`.  Near every step there must be sum k >= 2 residuals.
-    `used` are those within three widths of the path, each variable by itself.
+    `used` are those within three widths of the path, each variable by itself.  Where a model gave
+    nothing but for fewer than two residuals it is not available: its cost is infinite.
     """
     table = as_residuals(residuals)
     price, seen = _prices(table, cost), _seen(table)
@@ -112,8 +113,8 @@ def fit_suite(
         mean, S, n, used = _bin_moments(seen, axes, bins)
         rate = _bin_rate(table, everywhere, bins)
     else:
-        mean, S, n = _kernel_moments(seen, axes, kernel)
-        rate, used = _kernel_rate(table, everywhere, kernel), _near(axes, kernel)
+        mean, S, n, rate = _kernel_moments(table, everywhere, kernel)
+        price, used = np.where(rate == 1, np.inf, price), _near(axes, kernel)
     S = _with_resolution(seen, mean, S)
     v = np.einsum("twii->twi", S)
     _report(seen, mean, v, axes, used)
@@ -145,8 +146,8 @@ def bootstrap_errors(
         r, weighed = _relate(r, axes, kernel), _weights(residuals, axes, kernel)
         H, W = len(_path_of(axes)), len(residuals.names)
         drawn = np.empty((N, H, W, r.shape[1]))
-        for t, w, rows, a in weighed:
-            drawn[:, t, w] = r[check_rng(rng).choice(rows, N, p=a)]
+        for t, w, rows, k in weighed:
+            drawn[:, t, w] = r[check_rng(rng).choice(rows, N, p=k / k.sum())]
         return drawn * _scale(axes, kernel)
     cell, visited, n = _sort_into_bins(residuals, axes, bins)
     first = np.cumsum(n).reshape(n.shape) - n  # where each cell starts, once they are in order
@@ -388,27 +389,28 @@ def _bin_of(z: Array, edges: Array) -> Indices:
 # ---------------------------------------------------------------------------------------- kernels
 
 
-def _kernel_moments(residuals: Residuals, axes: Axes, kernel: Kernel) -> tuple[Array, Array, Array]:
-    """Mean (H, W, p), covariance (H, W, p, p) and effective number (H, W) by nearness."""
-    r = _relate(_errors(residuals), axes, kernel)
+def _kernel_moments(
+    residuals: Residuals, axes: Axes, kernel: Kernel
+) -> tuple[Array, Array, Array, Array]:
+    """Mean (H, W, p), covariance (H, W, p, p), effective number and miss rate (H, W) by nearness.
+
+    Where a model sees next to nothing the rate is 1, and the moments are 0 and 1.
+    """
+    r, gone = _relate(_errors(residuals), axes, kernel), residuals.missed
     H, W, p = len(_path_of(axes)), len(residuals.names), r.shape[1]
-    mean, S, n = np.empty((H, W, p)), np.empty((H, W, p, p)), np.empty((H, W))
-    for t, w, rows, a in _weights(residuals, axes, kernel):
-        n[t, w] = 1 / (a @ a)
-        mean[t, w] = a @ r[rows]
-        d = r[rows] - mean[t, w]
+    mean, S = np.zeros((H, W, p)), np.zeros((H, W, p, p)) + np.eye(p)
+    n, rate = np.full((H, W), 2.0), np.ones((H, W))
+    for t, w, rows, k in _weights(residuals, axes, kernel):
+        seen = ~gone[rows]
+        if (near := k[seen].sum()) < 2:
+            continue
+        a, e = k[seen] / near, r[rows[seen]]
+        n[t, w], rate[t, w] = 1 / (a @ a), 1 - near / k.sum()
+        mean[t, w] = a @ e
+        d = e - mean[t, w]
         S[t, w] = (a * d.T) @ d / (1 - a @ a)
     z = _scale(axes, kernel)
-    return mean * z, S * z[..., None] ** 2, n
-
-
-def _kernel_rate(residuals: Residuals, axes: Axes, kernel: Kernel) -> Array:
-    """Return the share (H, W) of looks near a step that gave nothing."""
-    rate = np.zeros((len(_path_of(axes)), len(residuals.names)))
-    if (gone := residuals.missed).any():
-        for t, w, rows, a in _weights(residuals, axes, kernel):
-            rate[t, w] = a @ gone[rows]
-    return rate
+    return mean * z, S * z[..., None] ** 2, n, np.where(rate < 1e-12, 0.0, rate)
 
 
 def _near(axes: Axes, kernel: Kernel) -> Mask:
@@ -422,7 +424,7 @@ def _near(axes: Axes, kernel: Kernel) -> Mask:
 def _weights(
     residuals: Residuals, axes: Axes, kernel: Kernel
 ) -> Iterator[tuple[int, int, Indices, Array]]:
-    """Yield each step and model, the rows of its residuals, and their weights, which sum to 1."""
+    """Yield each step and model, the rows of its looks, and how much each counts."""
     points, path = _coordinates(axes, kernel)
     for w, name in enumerate(residuals.names):
         rows = np.flatnonzero(residuals.model == w)
@@ -434,7 +436,7 @@ def _weights(
                     f"residuals: expected 2 or more of {name} near {place}, found {near:.2g} "
                     "within the kernel; widen it or measure more"
                 )
-            yield t, w, rows, k / near
+            yield t, w, rows, k
 
 
 def _coordinates(axes: Axes, kernel: Kernel) -> tuple[Array, Array]:

@@ -241,6 +241,7 @@ def check_names(argument: str, names: Sequence[str]) -> tuple[str, ...]:
     """Return distinct names that print on one line and survive a CSV file."""
     found = () if isinstance(names, str) or not np.iterable(names) else tuple(names)
     good = all(isinstance(n, str) and n and n == n.strip() and n.isprintable() for n in found)
+    good = good and not any(n.startswith("#") for n in found)  # a comment in a file
     if not (found and good and len(set(found)) == len(found)):
         raise ValueError(f"{argument}: expected distinct, non-blank strings, found {shown(names)}")
     return found

@@ -370,3 +370,17 @@ def test_three_lines_for_a_model_that_sometimes_sees_nothing():
 
 def test_parts_of_the_house_are_where_they_were():
     assert perception.read_residuals is read_residuals and perception.Residuals is Residuals
+
+
+def test_a_model_that_sees_nothing_far_away_is_not_available_there():
+    rng = np.random.default_rng(0)
+    z, model = rng.uniform(0, 10, 4000), rng.integers(0, 2, 4000)
+    residual = np.where((model == 0) & (z > 5), np.nan, rng.normal(size=4000))
+    table = Residuals(["near", "far"], model, z, residual)
+    suite = fit_suite(table, [2.0, 9.0], [1, 3], kernel=Kernel(0.1))
+    np.testing.assert_array_equal(suite.cost, [[1, 3], [np.inf, 3]])
+    np.testing.assert_array_equal(suite.miss_rate, [[0, 0], [1, 0]])
+    whole = with_dropouts(suite, suite.miss_rate, ([0.0], [4.0]))
+    assert whole.variance[1, 0, 0] == 4 and whole.cost[1, 0] == np.inf
+    with pytest.raises(ValueError, match=r"^residuals: expected 2 or more of near at altitudes"):
+        fit_suite(table, [2.0, 9.0], [1, 3], bins=[0, 8, 10])

@@ -36,7 +36,9 @@ from perception import (
 SIX = 6.0
 SEEDS = st.integers(0, 2**32 - 1)
 NAMES = st.lists(
-    st.text(min_size=1, max_size=5).filter(lambda n: n.isprintable() and n == n.strip()),
+    st.text(min_size=1, max_size=5).filter(
+        lambda n: n.isprintable() and n == n.strip() and n[0] != "#"
+    ),
     min_size=1,
     max_size=4,
     unique=True,
@@ -147,8 +149,9 @@ def test_a_suite_is_a_frozen_copy(field):
         ("cost", 1.0, "cost: expected shape (W,) = (3,), found ()"),
         ("cost", np.ones((3, 2)), "cost: expected shape (H, W) = (2, 3), found (3, 2)"),
         ("cost", [[1, 2], [3]], "cost: expected a rectangular array"),
-        ("cost", [1, 2, np.nan], "cost: expected finite numbers, found NaN"),
-        ("cost", [1, 2, -np.inf], "cost: expected a finite cost at every step, found none or -inf"),
+        ("names", ("a", "#b", "c"), "names: expected distinct, non-blank strings"),
+        ("cost", [1, 2, np.nan], "cost: expected finite or infinite numbers, found nan at [2]"),
+        ("cost", [1, 2, -np.inf], "cost: expected a finite cost at every step, found -inf"),
         ("cost", [[1, 2, 3], [np.inf] * 3], "cost: expected a finite cost at every step"),
         ("cost", ["1", "2", "3"], "cost: expected real numbers"),
         ("sample_size", [7, 8, 9], "sample_size: expected shape (H, W) = (2, 3), found (3,)"),

@@ -220,7 +220,10 @@ def test_states_and_controls_must_cost_something_together():
     for N in ([[1.1]], [[[0]], [[0]], [[2]]]):
         with pytest.raises(ValueError, match=message):
             ControlTask([[1]], [[1]], [[1]], [[1]], [[1]], 3, N=N)
-    with pytest.raises(ValueError, match=r"^N: expected shape \(n, m\) = \(1, 1\), found \(1, 2\)"):
+    with pytest.raises(
+        ValueError,
+        match=r"^N: expected shape \(n, m\) = \(1, 1\) \(n = 1 as of A, m = 1 as of B\), found \(1, 2\)",
+    ):
         ControlTask([[1]], [[1]], [[1]], [[1]], [[1]], 3, N=[[0, 0]])
     with pytest.raises(TypeError):
         ControlTask([[1]], [[1]], [[1]], [[1]], [[1]], 3, [[1]], [[1]])
