@@ -222,7 +222,7 @@ def test_states_and_controls_must_cost_something_together():
             ControlTask([[1]], [[1]], [[1]], [[1]], [[1]], 3, N=N)
     with pytest.raises(
         ValueError,
-        match=r"^N: expected shape \(n, m\) = \(1, 1\) \(n = 1 as of A, m = 1 as of B\), found \(1, 2\)",
+        match=r"^N: expected shape \(n, m\) = \(1, 1\) \(n = 1 as of A, m = 1 ",
     ):
         ControlTask([[1]], [[1]], [[1]], [[1]], [[1]], 3, N=[[0, 0]])
     with pytest.raises(TypeError):
