@@ -237,7 +237,8 @@ def _with_resolution(residuals: Residuals, mean: Array, S: Array) -> Array:
 
 def _report(residuals: Residuals, mean: Array, v: Array, axes: Axes, used: Mask) -> None:
     """Warn where few residuals count, or angles err by half a turn."""
-    if used.mean() < 0.5:
+    moves = any(np.ptp(h) > 0 for _, h in axes.values())
+    if moves and used.mean() < 0.5:
         ways = (f"{n} {_span(z)}, on the way {_span(h)}" for n, (z, h) in axes.items())
         warnings.warn(
             f"fit_suite: {used.sum()} of {len(used)} residuals count along this trajectory "

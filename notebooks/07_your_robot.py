@@ -298,7 +298,7 @@ with tempfile.TemporaryDirectory() as folder:  # yours: a file that exists
     path = Path(folder) / "residuals.csv"
     write_residuals(path, as_residuals(record(20, np.random.default_rng(7))))
     print(*path.read_text().splitlines()[:4], sep="\n")
-    residuals = read_residuals(path, names)
+    residuals = read_residuals(path, names, resolution=1e-4)  # four decimals
 print(len(residuals.residual), "residuals of", ", ".join(residuals.names))
 
 # %% [markdown]

@@ -1,0 +1,175 @@
+"""Landing on errors that real programs made: fitted on half of the views, flown on the others.
+
+A file of residuals (`perception.read_residuals`) holds what W models erred by on the same views,
+whose numbers are one of its variables, ``view``, as is what each took in ``milliseconds``.  Views
+are split, not rows: what one model did on a view says something of the others.  The price of a
+model is its median time; where it gives nothing, a prior acts in its place.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import numpy as np
+
+import modelselect as ms
+from modelselect_parts.checks import Array, Choices, check_class
+from modelselect_parts.flights import Aircraft, estimate
+from modelselect_parts.measurements import Residuals, rows_of
+from modelselect_parts.regulator import PATTERNS, roll_out
+from modelselect_parts.residuals import Kernel, fit_suite
+from modelselect_parts.suites import PerceptionSuite, with_dropouts
+
+Rng = np.random.Generator
+KERNEL = Kernel(0.3, log=["altitude"], relative="altitude")  # errors grow with the distance
+PRIOR = 3.3  # ft: how far off the path an aircraft believes to be that sees nothing
+LOWEST = 5.0  # ft: closer views were not taken
+NEAR = 40  # views that a flight draws from, around its altitude
+
+
+class Sights(NamedTuple):
+    """Views, each with the errors of all models."""
+
+    altitude: Array  #: (views,), increasing
+    errors: Array  #: (views, W), NaN where a model gave nothing
+
+
+def column(residuals: Residuals, name: str) -> Array:
+    """Return a variable (N,) of residuals by its name."""
+    if name not in residuals.variables:
+        found = ", ".join(residuals.variables)
+        raise ValueError(f"residuals: expected a column {name} before residual, found {found}")
+    table = residuals.altitude.reshape(-1, len(residuals.variables))
+    return np.asarray(table[:, list(residuals.variables).index(name)])
+
+
+def halves(residuals: Residuals, rng: Rng) -> tuple[Residuals, Sights]:
+    """Return the rows of a random half of the views, and the other half."""
+    check_class("residuals", residuals, "Residuals")
+    view, W = column(residuals, "view"), len(residuals.names)
+    numbers, count = np.unique(view, return_counts=True)
+    if residuals.residual.ndim > 1 or len(numbers) < 2 or set(count) != {W}:
+        raise ValueError(f"residuals: expected one number of each of {W} models on every view")
+    kept = rng.permutation(numbers)[: len(numbers) // 2]
+    flown = rows_of(residuals, ~np.isin(view, kept))
+    order = np.lexsort([flown.model, column(flown, "view")])
+    altitude = column(flown, "altitude")[order].reshape(-1, W)
+    if np.ptp(altitude, axis=1).any() or (flown.model[order].reshape(-1, W) != np.arange(W)).any():
+        raise ValueError("residuals: expected every model once, at one altitude, on every view")
+    up = altitude[:, 0].argsort(kind="stable")
+    errors = flown.residual[order].reshape(-1, W)[up]
+    return rows_of(residuals, np.isin(view, kept)), Sights(altitude[up, 0], errors)
+
+
+def latencies(residuals: Residuals) -> Array:
+    """Return the median milliseconds of each model, (W,)."""
+    taken = column(residuals, "milliseconds")
+    models = range(len(residuals.names))
+    return np.array([np.median(taken[residuals.model == w]) for w in models])
+
+
+def suite_along(residuals: Residuals, path: Array, price: Array) -> PerceptionSuite:
+    """Fit a suite along a path (H,) of altitudes; where models give nothing, the prior acts."""
+    way = {"altitude": np.maximum(path, LOWEST)}
+    table = replace(residuals, ordered=True)  # prices are of the same table
+    suite = fit_suite(table, way, price, kernel=KERNEL)
+    return with_dropouts(suite, np.asarray(suite.miss_rate), ([0.0], [PRIOR**2]))
+
+
+def draw(sights: Sights, altitude: Array, rng: Rng) -> Array:
+    """Draw errors (N, W) of all models from a view near each altitude (N,), and of the prior."""
+    views = len(sights.altitude)
+    first = np.searchsorted(sights.altitude, altitude) - NEAR // 2
+    first = np.clip(first, 0, max(views - NEAR, 0))  # the same number at either end
+    errors = sights.errors[first + rng.integers(0, min(NEAR, views), len(altitude))]
+    prior = rng.normal(0, PRIOR, (len(altitude), 1))
+    return np.where(np.isnan(errors), prior, errors)
+
+
+def schedules(problem: Any) -> dict[str, Choices]:
+    """Return the schedules (H,) of Optimal, Best Single and Greedy."""
+    H, W, _ = problem.mean.shape
+    constant = np.repeat(np.arange(W)[:, None], H, axis=1)
+    alone = ms.stepwise_cost(problem)
+    best = constant[problem.total_cost(constant).argmin()]
+    optimal = ms.solve(problem, time_limit=60).choices
+    return {"Optimal": optimal, "Best Single": best, "Greedy": alone.argmin(axis=1)}
+
+
+def regret(
+    landing: Aircraft,
+    information: str,
+    gains: Array | None,
+    sights: Sights,
+    choices: Choices,
+    s: Array,
+    seed: int,
+) -> Array:
+    """Return what errors cost flights (N,) through inputs s (N, H, 1), by a seed for all policies.
+
+    Errors are those of views near the altitude at which the aircraft is, so they act back on its
+    state; a pattern with foresight is told its errors beforehand, as they are along the path.
+    """
+    task, path, row = landing.task, landing.path, PATTERNS[information]
+    N, H, _ = s.shape
+    streams = np.random.default_rng(seed).spawn(H)
+
+    def errors(t: int, altitude: Array) -> Array:
+        return draw(sights, np.maximum(altitude, LOWEST), streams[t])[:, [choices[t]]]
+
+    none, told = np.zeros_like(s), np.zeros_like(s)
+    prior = np.broadcast_to(landing.prior_mean * row.now, s.shape[1:])[None]
+    if row.foresight:
+        told = np.stack([errors(t, np.full(N, path[t])) for t in range(H)], axis=1)
+
+    def look(t: int, x: Array) -> Array:
+        return told[:, t] if row.foresight else errors(t, path[t] + x[:, 0])
+
+    def cost(see: Callable[[int, Array], Array], off: Array) -> Array:
+        ahead = s + off if row.foresight else prior
+        x, u = roll_out(task, landing.x0, s, see, information, ahead, gains=gains)
+        return np.asarray(ms.control_cost(task, x, u))
+
+    return cost(look, told) - cost(lambda t, x: none[:, t], none)
+
+
+def leads(totals: Mapping[str, Array]) -> dict[str, tuple[float, float]]:
+    """Return by what share Optimal's mean total lies below the others', with half of its interval.
+
+    Of paired flights: the interval of the mean difference, as a share of the other's mean.
+    """
+    found = {}
+    for policy, total in totals.items():
+        if policy != "Optimal":
+            saved, half = estimate(total - totals["Optimal"])[0]
+            found[policy] = saved / total.mean(), half / total.mean()
+    return found
+
+
+def filter_gains(landing: Aircraft, suite: PerceptionSuite, gust: float) -> Array:
+    """Return gains of a Kalman filter that takes the models' median variance, and gusts, for noise.
+
+    Gusts displace the altitude by `gust` a step; a little of it pushes every other state.
+    """
+    C = landing.task.C
+    push = gust**2 * (C @ C.T + 1e-4 * np.eye(len(C)))
+    noise = float(np.median(suite.variance + suite.mean**2))
+    return ms.kalman_gains(landing.task, push, [[noise]])
+
+
+def one_to_one(Psi: Array, suite: PerceptionSuite) -> float:
+    """Return the weight beta at which looking costs as much as erring.
+
+    Of the constant schedules: the mean of what they pay, the median of what their errors cost.
+    """
+    problem = ms.SelectionProblem.from_suite(Psi, replace(suite, cost=_finite(suite.cost)))
+    H, W, _ = problem.mean.shape
+    constant = np.repeat(np.arange(W)[:, None], H, axis=1)
+    paid, lost = problem.perception_term(constant), problem.control_term(constant)
+    return float(np.median(lost) / paid.mean())
+
+
+def _finite(cost: Array) -> Array:
+    return np.broadcast_to(np.min(cost, axis=0), cost.shape) if cost.ndim == 2 else cost
