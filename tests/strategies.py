@@ -245,13 +245,7 @@ TOOLS = {
 HOMES = {
     **{"camera": "perception", "networks": "perception"},
     **{"suites": "perception", "residuals": "perception"},
-    **{
-        "flights": "landing",
-        "rivals": "landing",
-        "plots": "landing",
-        "files": "landing",
-        "options": "landing",
-    },
+    **dict.fromkeys(["flights", "rivals", "plots", "files", "prices"], "landing"),
 }
 
 
