@@ -29,9 +29,7 @@ if __name__ == "__main__":  # before NumPy: threads slow down small matrices, te
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import argparse
-import csv
 import hashlib
-import io
 import math
 import sys
 from collections.abc import Callable, Sequence
@@ -47,18 +45,16 @@ from scipy.signal import cont2discrete
 import modelselect as ms
 import perception
 from modelselect import Array, Choices, ControlTask, Schedule, SelectionProblem
-from modelselect_parts import figures, flights, options, tables
+from modelselect_parts import figures, flights, measured, options, prices, tables
 from modelselect_parts.checks import check_class, check_count, check_name, check_number, shown
 from modelselect_parts.figures import STYLE
 from modelselect_parts.files import check_targets, write_atomically
 from modelselect_parts.flights import (
-    COSTS,
     FRESH,
     Regret,
     fit_landing,
     fly,
     half_width,
-    model_cost,
     root_mean_square,
 )
 from modelselect_parts.plots import (
@@ -77,6 +73,7 @@ from modelselect_parts.plots import (
     plot_training,
     write_figures,
 )
+from modelselect_parts.prices import COSTS, UNITS, model_cost
 from modelselect_parts.published import COMPARISONS, EXPERIMENT_1, EXPERIMENT_2
 from modelselect_parts.rivals import Front, pareto, policies, whole_front
 from perception import MOUNT, PerceptionSuite, Trained
@@ -181,7 +178,8 @@ def cost_scale(Psi: Array, suite: PerceptionSuite) -> float:
 
 def _simulated(landing: Preset, run: Settings, rng: Rng, _: Trained | None) -> PerceptionSuite:
     """Draw the preset's suite (``subsec:expSimulation``)."""
-    return landing.draw_suite(rng)
+    suite = landing.draw_suite(rng)
+    return replace(suite, cost=prices.latency(suite.names)) if run.cost == "latency" else suite
 
 
 def _trained(landing: Preset, run: Settings, _: Rng, trained: Trained) -> PerceptionSuite:
@@ -189,12 +187,22 @@ def _trained(landing: Preset, run: Settings, _: Rng, trained: Trained) -> Percep
     return fit_landing(landing, trained.residuals, model_cost(trained.networks, run.cost))
 
 
-EXPERIMENTS: Any = {"simulated": _simulated, "trained": _trained}
+def _measured(landing: Preset, run: Settings, rng: Rng, _: Trained | None) -> PerceptionSuite:
+    """Fit what real programs did on half of the views of a file of residuals."""
+    table = measured.read(run.residuals)
+    fitted = measured.halves(table, rng)[0]
+    return measured.suite_along(fitted, landing.path[:-1], measured.latencies(table))
+
+
+EXPERIMENTS: Any = {"simulated": _simulated, "trained": _trained, "measured": _measured}
 #: What an experiment takes by default instead; a drone has no forecast.
 DEFAULTS: dict[str, dict[str, Any]] = {
     "trained": {"preset": "textbook", "information": "measurement", "cost": "counted"}
-    | {"alpha": 0.6, "beta": 0.4}
+    | {"alpha": 0.6, "beta": 0.4},
+    "measured": {"preset": "textbook", "information": "preview", "cost": "latency"}
+    | {"trials": 20},  # Clairvoyant's problems are hard ones
 }
+MEASURED_FLIGHTS = 1000
 #: Settings beyond the paper.
 LIMITS = ("switch_cost", "budget")
 
@@ -217,10 +225,11 @@ class Settings:
     alpha: float = 0.8  #: weight of control cost (``eq:jtot``)
     beta: float = 0.2  #: weight of perception cost
     upsilon: float | None = None  #: price of one model up; None: as the preset says
-    cost: str = "linear"  #: of model w: w * upsilon, or its counted operations, with the same top
+    cost: str = "linear"  #: of model w: w * upsilon, or counted operations or ms, with the same top
     seed: int = 0  #: of everything random
-    switch_cost: float = 0.0  #: perception cost of going from one model to another
+    switch_cost: float = 0.0  #: perception cost (ms, if that is latency) of changing models
     budget: float | None = None  #: the most that perception may cost on a landing, with switches
+    residuals: str | None = None  #: a file of experiment ``measured``; None: that of a tag detector
 
     def __post_init__(self) -> None:
         for name, known in _names().items():
@@ -233,10 +242,14 @@ class Settings:
             value = getattr(self, name)
             if value is not None or name not in ("upsilon", "budget"):
                 object.__setattr__(self, name, check_number(name, value, minimum=0))
-        if self.experiment == "trained" and self.preset != "textbook":
+        if self.experiment in ("trained", "measured") and self.preset != "textbook":
             raise ValueError(f"preset: the cameras need textbook altitudes, found {self.preset!r}")
-        if self.experiment == "simulated" and self.cost != "linear":
-            raise ValueError(f"cost: simulated models have linear cost, found {self.cost!r}")
+        if self.experiment == "measured" and self.cost != "latency":
+            raise ValueError(f"cost: measured models cost their latency, found {self.cost!r}")
+        if self.residuals is not None and self.experiment != "measured":
+            raise ValueError(f"residuals: used by experiment measured, found {self.experiment!r}")
+        if self.experiment == "simulated" and self.cost == "counted":
+            raise ValueError("cost: simulated models have linear cost or latency, found 'counted'")
 
 
 class Flights(NamedTuple):
@@ -291,12 +304,13 @@ def run_experiment(
     suite = EXPERIMENTS[run.experiment](landing, run, streams[0], trained)
     upsilon = landing.upsilon if run.upsilon is None else run.upsilon
     upsilon = cost_scale(Psi, suite) if upsilon is None else upsilon
-    prices = ("upsilon", upsilon, suite.cost.max()), ("switch_cost", run.switch_cost, run.horizon)
-    for name, price, times in prices:
+    dearest = suite.cost[np.isfinite(suite.cost)].max()
+    sums = ("upsilon", upsilon, dearest), ("switch_cost", run.switch_cost, run.horizon)
+    for name, price, times in sums:
         if not math.isfinite(price * float(times)):
             raise ValueError(f"{name}: the costs overflow, found {price:g}")
-    suite = replace(suite, cost=suite.cost * upsilon)
-    posed = (Psi, suite.mean, suite.variance, suite.cost, run.alpha, run.beta)
+    suite, weight = prices.priced(suite, upsilon, run.cost)
+    posed = (Psi, suite.mean, suite.variance, suite.cost, run.alpha, run.beta * weight)
     switch_cost = run.switch_cost * (1 - np.eye(len(suite.names))) if run.switch_cost else None
     problem = SelectionProblem(*posed, switch_cost=switch_cost, budget=run.budget)
     started = perf_counter()
@@ -310,7 +324,7 @@ def run_experiment(
     for policy, choices in policies(problem, optimal.choices, bar, streams[3]).items():
         altitude, control = fly(landing, run.information, s, errors, choices)
         paid = np.zeros(run.trials) + (0 if choices is None else problem.perception_term(choices))
-        reward = -run.alpha * control - run.beta * paid
+        reward = -run.alpha * control - problem.beta * paid
         flown[policy] = Flights(choices, altitude, control, paid, reward)
     used = replace(run, upsilon=upsilon)
     return Result(used, landing, suite, problem, optimal, seconds, flown, trained)
@@ -377,7 +391,7 @@ def judge_on_pictures(
         check_name("policies", policy, FLOWN)
     trained = _learned(result)
     run, limits = result.settings, {}
-    if run.upsilon:
+    if run.upsilon and run.cost != "latency":  # milliseconds stay what they are
         rule = cost_scale(ms.psi(result.landing.task, information), result.suite)
         limits = {k: v and v * (rule / run.upsilon) for k, v in asdict(run).items() if k in LIMITS}
     run = replace(run, information=information, upsilon=None, **limits)
@@ -431,6 +445,7 @@ def published_log(settings: Settings, offset: int = 0) -> dict[str, Array]:
     simulated = settings.experiment == "simulated"
     most = 7 * settings.horizon * (settings.upsilon or 0)  # a budget of that never binds
     limited = settings.switch_cost or (settings.budget is not None and settings.budget < most)
+    limited = limited or settings.cost == "latency"
     settings = replace(settings, trials=100, seed=0, budget=None)
     if logged is None or limited or (simulated and settings != logged):
         return {}
@@ -454,9 +469,14 @@ def report(result: Result) -> str:
     rows = [flights.estimate(*flown[2:], ours - flown.reward) for flown in result.flights.values()]
     log = published_log(run)
     log = log if log and run.preset == PUBLISHED[run.experiment][0].preset else {}
-    price = COSTS[run.cost] + (f", {run.switch_cost:g} a switch" if run.switch_cost else "")
-    given = (np.array(rows), log, run.trials, price)
+    unit, after = UNITS[run.cost], f" {UNITS[run.cost]}".rstrip()
+    price = "median ms" if run.experiment == "measured" else COSTS[run.cost]
+    price += f", {run.switch_cost:g}{after} a switch" if run.switch_cost else ""
+    given = (np.array(rows), log, run.trials, price, unit)
     lines = tables.table_of_policies(list(result.flights), *given)
+    if unit:
+        weight = f"{run.beta:g} * {result.problem.beta / run.beta if run.beta else 0:.4g}"
+        lines += [f"Reward: -{run.alpha:g} control cost - {weight} a {unit} of perception."]
     lines += [
         "",
         f"Optimal: expected total {best.cost:.6e} (less alpha J(u*)), lower bound "
@@ -466,13 +486,13 @@ def report(result: Result) -> str:
     ]
     if run.budget is not None:
         spent = result.problem.perception_term(best.choices)
-        lines += [f"It spends {spent:.6g} of a budget of {run.budget:.6g}."]
+        lines += [f"It spends {spent:.6g}{after} of a budget of {run.budget:.6g}{after}."]
         missing = ", ".join(policy for policy in LOOK if policy not in result.flights)
         lines += [f"Left out, as beyond the budget: {missing}."] if missing else []
     lines += tables.table_of_models(suite.names, best.choices, suite.mean, suite.variance)
     if run.switch_cost:
         lines += [f"It switches {np.count_nonzero(np.diff(best.choices))} times."]
-    lines += tables.table_of_front(result.front) if result.front else []
+    lines += tables.table_of_front(result.front, after) if result.front else []
     return "\n".join(lines)
 
 
@@ -505,14 +525,36 @@ def report_pictures(result: Result, *, progress: bool = False) -> str:
     patterns = [name for name in within_reach if not ms.PATTERNS[name].foresight]
     for information in sorted(patterns, key=lambda name: name != run.information):
         flown = ("Optimal", "All Large", "All Small") if len(parts) > 1 else FLOWN
-        _, found = judge_on_pictures(result, information, flown, progress=progress)
-        compared = flights.compare(found, run.alpha, run.beta)
-        parts += [tables.table_of_regrets(information, list(found), *compared)]
+        judged, found = judge_on_pictures(result, information, flown, progress=progress)
+        compared = flights.compare(found, run.alpha, judged.problem.beta)
+        parts += [tables.table_of_regrets(information, list(found), *compared, UNITS[run.cost])]
     counts = [n for n in SIZES if n <= len(altitude)]
     regret = sample_sizes(result, counts)
     shares = np.array([flights.estimate(*pair) for pair in regret])
     parts += [tables.table_of_sizes(counts, shares, regret.shape[2], FRESH)]
     return "\n\n".join("\n".join(lines) for lines in parts)
+
+
+def report_measured(result: Result) -> str:
+    """Return what flights on views that no fit has seen make of the schedules, as text.
+
+    Errors are those of views near the aircraft; totals are alpha regret + beta perception cost.
+    """
+    check_class("result", result, "Result")
+    run, problem, landing = result.settings, result.problem, result.landing
+    if run.experiment != "measured":
+        raise ValueError(f"result: expected one of experiment measured, found {run.experiment}")
+    first, inputs, *_ = np.random.default_rng(run.seed).spawn(4)
+    sights = measured.halves(measured.read(run.residuals), first)[1]
+    s = landing.draw_inputs(inputs, MEASURED_FLIGHTS)
+    kept = ("Optimal", "Best Single", "Greedy")
+    chosen = {k: np.asarray(result.flights[k].choices) for k in kept if k in result.flights}
+    given = (landing, run.information, None, sights)
+    lost = {k: measured.regret(*given, c, s, run.seed) for k, c in chosen.items()}
+    paid = {k: problem.beta * float(problem.perception_term(c)) for k, c in chosen.items()}
+    totals = {k: run.alpha * lost[k] + paid[k] for k in chosen}
+    promised = {k: float(problem.control_term(c)) for k, c in chosen.items()}
+    return "\n".join(tables.table_of_measured(promised, lost, totals, measured.leads(totals)))
 
 
 def summary(result: Result) -> dict[str, Any]:
@@ -542,11 +584,7 @@ def summary(result: Result) -> dict[str, Any]:
 def write_percentages(result: Result, path: Path) -> None:
     """Write the rows of `percentages` to the file `path` as CSV, below their names."""
     check_class("result", result, "Result")
-    rows, text = percentages(result), io.StringIO()
-    table = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
-    table.writeheader()
-    table.writerows(rows)
-    write_atomically(path, text.getvalue().encode())
+    write_atomically(path, tables.as_csv(percentages(result)).encode())
 
 
 def _parser() -> options.Parser:
@@ -554,7 +592,11 @@ def _parser() -> options.Parser:
     about = "Land an aircraft, choosing perception models."
     parser = options.Parser("landing.py", usage=argparse.SUPPRESS, description=about)
     unset = {"upsilon": "as the preset", "budget": "none"}
-    parser.add_fields(asdict(Settings()), _names(), unset)
+    fields = {k: v for k, v in asdict(Settings()).items() if k != "residuals"}
+    parser.add_fields(fields, _names(), unset)
+    parser.add_argument(
+        "--residuals", type=options.place, metavar="FILE", help="CSV; measured ones"
+    )
     about = "find all Pareto points, or as many as so many seconds prove"
     parser.add_argument("--front", type=options.real, metavar="SECONDS", help=about)
     parser.add_argument("--out", type=options.place, default="figures", metavar="FOLDER")
@@ -577,6 +619,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     out, path, bare, quiet = (given.pop(key) for key in ("out", "json", "no_figures", "quiet"))
     seconds = given.pop("front")
     try:
+        given["residuals"] = given["residuals"] and str(given["residuals"])
         settings = Settings(**given)
         learns = settings.experiment == "trained"
         seconds is None or check_number("front", seconds, minimum=0)
@@ -588,6 +631,8 @@ def main(argv: Sequence[str] | None = None) -> int:
             result = replace(result, front=front)
         if not quiet:
             print(report(result))
+        if settings.experiment == "measured" and not quiet:
+            print("\n" + report_measured(result))
         if trained:
             perception.write_residuals(out / "residuals.csv", trained.residuals)
             if not quiet:

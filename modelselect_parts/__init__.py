@@ -39,8 +39,10 @@ networks          small networks and how they learn
 figures           every picture, from arrays
 tables            every table, from arrays
 published         what the authors logged, and the paper prints
+prices            what models cost
 rivals            whom the optimum is compared with: eight policies, the sweep of weights
 flights           landing by what networks see in pictures
+measured          landing on errors that real programs made
 plots             which arrays of a run each picture takes
 ================= ==============================================================================
 """

@@ -53,10 +53,11 @@ POLICY_STYLE: dict[str, dict[str, Any]] = {
     "All Large": {"color": "#E69F00", "marker": "^"},
     "All Small": {"color": "#56B4E9", "marker": "v"},
 }
-#: The axis of perception costs that are w * Upsilon, or counted operations.
+#: The axis of perception costs that are w * Upsilon, counted operations, or measured times.
 PERCEPTION_AXIS = {
     "linear": "perception cost (sum of $w \\Upsilon$)",
     "counted": "perception cost (operations)",
+    "latency": "perception cost (ms of models)",
 }
 ACCENT = POLICY_STYLE["Optimal"]["color"]
 ALTITUDE_PARTS = 20  # of equally many errors, for what depends on altitude

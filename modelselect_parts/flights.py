@@ -32,9 +32,7 @@ from modelselect_parts.checks import (
     check_array,
     check_choices,
     check_class,
-    check_classes,
     check_count,
-    check_name,
     check_range,
 )
 from modelselect_parts.regulator import (
@@ -108,24 +106,7 @@ def root_mean_square(values: Array) -> tuple[float, float]:
     return rms, half_width(squares) / (2 * rms) if rms > 0 else 0.0
 
 
-# -------------------------------------------------------------------- what models cost, and err
-
-#: What model w costs, in words.
-COSTS = {"linear": "w * Upsilon", "counted": "operations, b7 at 7 Upsilon"}
-
-
-def model_cost(networks: Sequence[Network], cost: str) -> Array:
-    """Return the costs (W,) of networks: w, or the multiply-adds times (W-1) / the largest.
-
-    The first if `cost` is ``linear``, the second if ``counted``.
-    """
-    check_classes("networks", networks, "Network")
-    check_name("cost", cost, COSTS)
-    if not len(networks):
-        raise ValueError("networks: expected one or more, found none")
-    counted = np.array([float(network.multiply_adds) for network in networks])
-    W = len(counted)
-    return (W - 1) * counted / counted.max() if cost == "counted" else np.arange(float(W))
+# ------------------------------------------------------------------------------- how models err
 
 
 def by_network(residuals: Residuals) -> tuple[Array, Array]:

@@ -8,6 +8,7 @@ model is its median time; where it gives nothing, a prior acts in its place.
 
 from __future__ import annotations
 
+import pathlib
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any, NamedTuple
@@ -17,12 +18,13 @@ import numpy as np
 import modelselect as ms
 from modelselect_parts.checks import Array, Choices, check_class
 from modelselect_parts.flights import Aircraft, estimate
-from modelselect_parts.measurements import Residuals, rows_of
+from modelselect_parts.measurements import Residuals, read_residuals, rows_of
 from modelselect_parts.regulator import PATTERNS, roll_out
 from modelselect_parts.residuals import Kernel, fit_suite
 from modelselect_parts.suites import PerceptionSuite, with_dropouts
 
 Rng = np.random.Generator
+TAGS = pathlib.Path(__file__).resolve().parents[1] / "notebooks" / "data" / "tags.csv"
 KERNEL = Kernel(0.3, log=["altitude"], relative="altitude")  # errors grow with the distance
 PRIOR = 3.3  # ft: how far off the path an aircraft believes to be that sees nothing
 LOWEST = 5.0  # ft: closer views were not taken
@@ -34,6 +36,11 @@ class Sights(NamedTuple):
 
     altitude: Array  #: (views,), increasing
     errors: Array  #: (views, W), NaN where a model gave nothing
+
+
+def read(path: str | None = None) -> Residuals:
+    """Read a file of residuals; by default those of a tag detector (notebooks/data/tags.py)."""
+    return read_residuals(TAGS if path is None else path)
 
 
 def column(residuals: Residuals, name: str) -> Array:

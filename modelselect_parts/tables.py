@@ -6,6 +6,8 @@ out.  A table is a list of lines, or of rows.
 
 from __future__ import annotations
 
+import csv
+import io
 import math
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -16,32 +18,71 @@ import numpy.typing as npt
 from modelselect_parts.checks import Array
 
 
+def as_csv(rows: Sequence[Mapping[str, Any]]) -> str:
+    """Return rows, one or more, as CSV below their names."""
+    text = io.StringIO()
+    table = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
+    table.writeheader()
+    table.writerows(rows)
+    return text.getvalue()
+
+
+def undecided(mean: float, half: float) -> bool:
+    """Whether the 95% interval `mean` ± `half` of a difference leaves open which side is better.
+
+    It does if it contains 0, or is unknown (NaN); not if there is no difference in any trial.
+    """
+    return not (abs(mean) > half or mean == half == 0)
+
+
+def line_of_undecided(policies: Sequence[str], gain: Array, when: str = "") -> list[str]:
+    """Name the policies that may be better than Optimal, by estimates (policies, 2) of its gain.
+
+    The text of `when` says of which gain, if there are several.
+    """
+    pairs = zip(policies, gain, strict=True)
+    left = [policy for policy, pair in pairs if policy != "Optimal" and undecided(*pair)]
+    why = "a single trial" if np.isnan(gain).any() else "0 is in the interval"
+    return [f"Undecided{when} ({why}): {', '.join(left)}."] if left else []
+
+
 def table_of_policies(
-    policies: Sequence[str], estimates: Array, log: Mapping[str, Array], trials: int, price: str
+    policies: Sequence[str],
+    estimates: Array,
+    log: Mapping[str, Array],
+    trials: int,
+    price: str,
+    unit_of_price: str = "",
 ) -> list[str]:
     """Tabulate estimates (policies, 4, 2) of costs, reward and what Optimal gains on each policy.
 
-    Means (3,) of the `log` stand below those of the same policy, all in a power of a thousand;
-    `price` says in words what perception costs are.
+    Means (3,) of the `log` stand below those of the same policy, all in a power of a thousand, but
+    perception costs with a `unit_of_price` in that; `price` says in words what they are.
     """
     size = estimates[list(policies).index("Optimal"), 0, 0]
     unit = 1000.0 ** math.floor(math.log10(size) / 3) if size > 0 else 1.0
 
-    def cell(mean: float, half: float) -> str:
+    units = [unit, 1.0 if unit_of_price else unit, unit, unit]
+
+    def cell(estimate: Array, unit: float) -> str:
+        mean, half = estimate
         half_width = f"± {half / unit:.3f}".replace("nan", "-") if half != 0 else ""
         return f"{mean / unit:12.3f} {half_width:10}"
 
     heading = f"Means of {trials} trials ± 95% t-intervals, in units of {unit:.0e}"
     heads = ("control cost", "perception cost", "reward", "Optimal gains")
+    if unit_of_price:
+        heads = (heads[0], f"perception ({unit_of_price})", *heads[2:])
     lines = [f"{heading}; perception costs are {price}"]
     lines += [" " * 12 + "".join(f"{head:>17}      " for head in heads)]
     for policy, row in zip(policies, estimates, strict=True):
-        lines += [f"{policy:12}" + "".join(cell(*estimate) for estimate in row)]
+        lines += [f"{policy:12}" + "".join(map(cell, row, units))]
         if policy in log:
             means = "".join(f"{mean / unit:12.3f}{'':11}" for mean in log[policy])
             lines += ["  published " + means]
     lines += ["Oracle (no error) and Clairvoyant (knows all errors beforehand) are infeasible."]
     lines += ["Optimal gains: its reward less that of the policy, in the same trials."]
+    lines += line_of_undecided(policies, estimates[:, 3])
     return [line.rstrip() for line in lines]
 
 
@@ -59,8 +100,13 @@ def table_of_models(
     ]
 
 
-def table_of_front(front: tuple[Array, npt.NDArray[np.bool_], Array, str]) -> list[str]:
-    """Count Pareto points (n, 2) and corners (n,); say what corners miss (n,) and what is open."""
+def table_of_front(
+    front: tuple[Array, npt.NDArray[np.bool_], Array, str], unit: str = ""
+) -> list[str]:
+    """Count Pareto points (n, 2) and corners (n,); say what corners miss (n,) and what is open.
+
+    A budget has a `unit`, with a space before it, or none.
+    """
     points, corner, missed, left = front
     reached = f"{corner.sum()} of them corners, which weights alpha : beta reach"
     lines = [
@@ -69,7 +115,7 @@ def table_of_front(front: tuple[Array, npt.NDArray[np.bool_], Array, str]) -> li
     ]
     if len(points):
         worst = missed.argmax()
-        where = f"within a budget of {points[worst, 0]:.6g}"
+        where = f"within a budget of {points[worst, 0]:.6g}{unit}"
         lines += [f"The best corner costs control up to {100 * missed[worst]:.2g}% more, {where}."]
     return lines
 
@@ -87,14 +133,21 @@ def table_of_errors(
 
 
 def table_of_regrets(
-    information: str, policies: Sequence[str], expected: Array, regret: Array, gain: Array
+    information: str,
+    policies: Sequence[str],
+    expected: Array,
+    regret: Array,
+    gain: Array,
+    unit_of_price: str = "",
 ) -> list[str]:
     """Tabulate predicted regret and perception cost (policies, 2), and estimates.
 
     Of regret (policies, 3, 2): with Gaussian errors, with resampled ones, by sight; and of what
-    Optimal gains in reward (policies, 2, 2): in the first way, and by sight.
+    Optimal gains in reward (policies, 2, 2): in the first way, and by sight.  Perception costs may
+    have a `unit_of_price`.
     """
-    heads = ("predicted", "Gaussian errors", "bootstrap", "flown on pictures", "perception cost")
+    paid_head = f"perception ({unit_of_price})" if unit_of_price else "perception cost"
+    heads = ("predicted", "Gaussian errors", "bootstrap", "flown on pictures", paid_head)
     lines = [f"Regret under {information}, where the drone acts on what it sees as it lands"]
     lines += [" " * 12 + "".join(f"{head:>19}" for head in (*heads, "Optimal gains", "flown"))]
 
@@ -106,7 +159,7 @@ def table_of_regrets(
     ):
         row = f"{policy:12}{predicted:19.1f}" + cells(ways) + f"{paid:19.1f}"
         lines += [row + cells(gains) * (policy != "Optimal")]
-    return lines
+    return lines + line_of_undecided(policies, gain[:, 1], " when flown")
 
 
 def table_of_sizes(sizes: Sequence[int], regret: Array, draws: int, fresh: int) -> list[str]:
@@ -140,3 +193,23 @@ def table_of_percentages(
             row[name] = 100 * (to - base) / abs(base) if number else None
         rows += [row | {"what the paper prints": printed}]
     return rows
+
+
+def table_of_measured(
+    promised: Mapping[str, float],
+    lost: Mapping[str, Array],
+    totals: Mapping[str, Array],
+    leads: Mapping[str, tuple[float, float]],
+) -> list[str]:
+    """Lines on flights that were not fitted to: regret (trials,), totals, Optimal's lead."""
+    heads = ("promised regret", "flown regret", "flown total", "Optimal lies below by, %")
+    lines = [f"{len(totals['Optimal'])} flights each on views that no fit has seen; means"]
+    lines += [" " * 12 + "".join(f"{head:>26}" for head in heads)]
+    for policy, total in totals.items():
+        numbers = (promised[policy], lost[policy].mean(), total.mean())
+        line = f"{policy:12}" + "".join(f"{number:26.4g}" for number in numbers)
+        if policy in leads:
+            mean, half = (100 * number for number in leads[policy])
+            line += f"{mean:17.1f} ± {half:.1f}" + (" undecided" if undecided(mean, half) else "")
+        lines.append(line)
+    return lines

@@ -245,7 +245,9 @@ TOOLS = {
 HOMES = {
     **{"camera": "perception", "networks": "perception"},
     **dict.fromkeys(("suites", "measurements", "residuals"), "perception"),
-    **dict.fromkeys(("flights", "rivals", "plots", "files", "options"), "landing"),
+    **dict.fromkeys(
+        ("flights", "rivals", "plots", "files", "options", "prices", "measured"), "landing"
+    ),
 }
 
 

@@ -38,8 +38,9 @@ POOLS = {
     "--switch-cost": WEIGHTS,
     "--budget": [*WEIGHTS, "1e14", "none"],
     "--front": ["0", "0.1", "-1", "nan", "inf", "all"],
-    "--cost": ["linear", "counted", "free"],
+    "--cost": ["linear", "counted", "latency", "free"],
     "--seed": [*COUNTS, "123456789012345678901234567890"],
+    "--residuals": ["file", "none.csv", "", "a\0b"],
     "--out": ["out", "new/er", "file", "file/below", "", "a\0b", "x" * 300],
     "--json": ["r.json", "new/r.json", "file", "out", "", "a\0b", "x" * 300],
 }
@@ -112,6 +113,9 @@ def test_any_arguments_run_or_help_or_end_in_one_line(place, argv):
         ("--switch-cost 1e308", "overflow"),
         ("--switch-cost 1e308 --budget 1", "overflow"),
         ("--experiment trained --budget 0", "budget: expected one of at least"),
+        ("--experiment measured --residuals none.csv", "none.csv: cannot be read as a CSV file"),
+        ("--experiment measured --residuals file", "file, line 1: expected the header"),
+        ("--experiment measured --cost linear", "cost: measured models cost their latency"),
         ("--cost counted", "cost: simulated models have linear cost"),
     ],
 )
@@ -140,6 +144,7 @@ BAD = {
     "--seed": NO_COUNTS,
     **dict.fromkeys(["--alpha", "--beta", "--upsilon", "--switch-cost", "--budget"], NO_WEIGHTS),
     "--front": NO_WEIGHTS,
+    "--residuals": ["file", *NO_PLACES],  # of an experiment that takes none
     "--out": ["file", *NO_PLACES],
     "--json": [".", "/dev/null", "folder", "new/" + "x" * 252, *NO_PLACES],
     "--no-figures": ["yes"],
@@ -259,8 +264,9 @@ def test_good_arguments_run(place, data):
         "--beta": ["0", "0.5", "1e-300"],
         "--upsilon": ["0", "1", "1e14"],
         "--switch-cost": ["0", "1", "1e14"],
-        "--budget": ["0", "1", "1e14", "1e30"],
+        "--budget": ["100", "1e14", "1e30"],
         "--seed": ["0", "7", "9" * 18],
+        "--cost": ["linear", "latency"],
     }
     flags = data.draw(st.sets(st.sampled_from(sorted(good))))
     argv = [word for flag in flags for word in (flag, data.draw(st.sampled_from(good[flag])))]

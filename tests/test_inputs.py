@@ -387,9 +387,16 @@ def falling(x):
 TASK, PROBLEM, SUITE = record(task), record(problem), record(suite)
 BLEND, RESIDUALS = record(blend), record(measured)
 TRAINED, SEEN, FLOWN = record(trained), record(seen), Arg("result", fresh=flown)
+SEEN_VIEWS = record(lambda: seen_views())
 RELAXATION, FLAG = record(point, "none"), Arg("flag")
 GAP, LIMIT, PATTERN = number(0.25), number(64.0, "none"), word("preview")
 STEPS = index([0, 2, 1, 2])
+
+
+@cache
+def seen_views():
+    chosen = {"experiment": "measured", **landing.DEFAULTS["measured"], "horizon": 3, "trials": 1}
+    return landing.run_experiment(Settings(**chosen))
 
 
 def plant():
@@ -1104,6 +1111,7 @@ ROWS: dict[str, tuple[Callable[..., Any], dict[str, Arg]]] = {
             "fresh": count(300, blames="count"),
         },
     ),
+    "report_measured": (landing.report_measured, {"result": SEEN_VIEWS}),
     "report_pictures": (landing.report_pictures, {"result": SEEN, "progress": FLAG}),
     "root_mean_square": (landing.root_mean_square, {"values": real([1, 2, 4], "length")}),
     "published_log": (

@@ -43,6 +43,7 @@ from modelselect import (
     run_controller,
     solve,
 )
+from modelselect_parts.tables import undecided
 from perception import EFFICIENTNET, PerceptionSuite, sample_errors
 
 from strategies import dense_flight, plain_cost
@@ -373,7 +374,10 @@ def test_zero_weights(weights):
 @pytest.mark.parametrize(
     ("setting", "message"),
     [
-        ({"experiment": "no"}, "experiment: expected one of simulated, trained, found 'no'"),
+        (
+            {"experiment": "no"},
+            "experiment: expected one of simulated, trained, measured, found 'no'",
+        ),
         ({"preset": "no"}, "preset: expected one of published, textbook, found 'no'"),
         ({"information": "no"}, "information: expected one of open_loop, preview, causal"),
         ({"horizon": 0}, "horizon: expected an integer >= 1, found 0"),
@@ -512,6 +516,79 @@ def test_a_landing_obeys_its_limits(name, information):
     assert f"perception costs are w * Upsilon, {upsilon / 2:g} a switch" in text
     assert {k: summary(run)["settings"][k] for k in chosen[1]} == chosen[1]
     assert len(percentages(run)) == 10 and not landing.published_log(run.settings)
+
+
+#: Milliseconds of EfficientNet b0 to b7 on an i7-12700H, as they were published.
+MILLISECONDS = [12.9, 18.4, 24.0, 34.0, 68.3, 143.8, 256.0, 465.8]
+
+
+@pytest.mark.parametrize("upsilon", [None, 3e13])
+@pytest.mark.parametrize("name", PRESETS)
+def test_milliseconds_are_prices_as_dear_as_w_upsilon_at_the_top(name, upsilon):
+    linear, run = (
+        run_experiment(Settings(preset=name, cost=cost, upsilon=upsilon, **SMALL))
+        for cost in ("linear", "latency")
+    )
+    assert run.settings.upsilon == linear.settings.upsilon
+    np.testing.assert_array_equal(run.problem.model_cost, MILLISECONDS)
+    dearest = [each.problem.beta * each.problem.model_cost[7] for each in (linear, run)]
+    assert dearest[1] == pytest.approx(dearest[0]) == 0.2 * 7 * run.settings.upsilon
+    for policy in POLICIES[2:]:
+        flown = run.flights[policy]
+        paid = sum(MILLISECONDS[w] for w in flown.choices)
+        np.testing.assert_allclose(flown.perception_cost, paid)
+        weighed = paid * 0.2 * 7 * run.settings.upsilon / 465.8
+        np.testing.assert_allclose(flown.reward, -0.8 * flown.control_cost - weighed)
+
+
+def test_three_lines_for_prices_and_a_budget_in_milliseconds():
+    limits = {"cost": "latency", "switch_cost": 5.0, "budget": 400.0}
+    run = run_experiment(Settings(preset="textbook", **limits, **SMALL))
+    spent = run.problem.perception_term(run.optimal.choices)
+
+    c = run.optimal.choices
+    assert spent == pytest.approx(
+        sum(MILLISECONDS[w] for w in c) + 5 * np.count_nonzero(np.diff(c))
+    )
+    assert spent <= 400 and run.optimal.is_optimal
+    assert max(flown.perception_cost.max() for flown in run.flights.values()) <= 400
+    text = report(replace(run, front=landing.whole_front(run.problem, 60)))
+    assert f"It spends {spent:.6g} ms of a budget of 400 ms." in text
+    assert "perception costs are ms of EfficientNet on an i7-12700H, 5 ms a switch" in text
+    assert "perception (ms)" in text and re.search(r"within a budget of \S+ ms\.", text)
+    assert f"Reward: -0.8 control cost - 0.2 * {7 * run.settings.upsilon / 465.8:.4g} a ms" in text
+    row = re.search(r"^Optimal +\S+ ± \S+ +(\S+) ", text, re.M)
+    assert float(row[1]) == pytest.approx(spent, abs=6e-4)  # not in units of the control cost
+    axis = landing.plot_costs(run).axes[0]
+    assert "perception cost (ms of models and switches)" in (axis.get_xlabel(), axis.get_ylabel())
+
+
+@pytest.mark.parametrize(
+    ("mean", "half", "open_"),
+    [
+        *((1.0, 0.5, False), (-1.0, 0.5, False), (1.0, 1.5, True), (-1.0, 1.5, True)),
+        *((1.0, 1.0, True), (0.0, 0.5, True), (1.0, 0.0, False), (0.0, 0.0, False)),
+        *((5.0, np.nan, True), (0.0, np.nan, True)),
+    ],
+)
+def test_undecided_is_what_an_interval_with_0_in_it_leaves(mean, half, open_):
+    assert undecided(mean, half) is open_
+
+
+def test_a_report_says_what_is_not_decided(small):
+    """Of four trials with gains -1, 0, 1, 2 the mean is 0.5, the half-width 3.18 * 1.29 / 2."""
+    best = small.flights["Optimal"]
+    gains = {"Random": np.array([-1.0, 0, 1, 2]), "Greedy": np.array([9.0, 10, 11, 12])}
+    gains |= {"Best Single": np.zeros(4)}
+    flown = {
+        policy: best._replace(**dict.fromkeys(landing.QUANTITIES, 100 - gain))
+        for policy, gain in ({"Optimal": np.zeros(4)} | gains).items()
+    }
+    text = report(replace(small, flights=flown))
+    assert re.findall(r"^Undecided.*", text, re.M) == ["Undecided (0 is in the interval): Random."]
+    assert "decided" not in report(replace(small, flights={"Optimal": best}))
+    one = replace(small, flights={k: f._replace(reward=f.reward[:1]) for k, f in flown.items()})
+    assert "Undecided (a single trial): Random, Greedy, Best Single." in report(one)
 
 
 @pytest.mark.parametrize("settings", [{}, {"preset": "textbook", "horizon": 30}])

@@ -100,6 +100,8 @@ with_bar | test_perception_stands_on_numpy_and_scipy_alone | a Python that finds
 ModelTable | test_the_efficientnet_table | the table as published
 Residuals read_residuals write_residuals | test_the_file_format | lines of text by hand
 fit_suite | test_fit_equals_a_plain_loop | a plain loop, to the last bit
+tests/test_measured.py
+report_measured | test_regret_is_that_of_psi_where_errors_are_the_same_everywhere | e'Psi e by hand
 tests/test_plants.py
 nearest_semidefinite | test_the_nearest_semidefinite_matrix_is_nearer_than_any_other | other semidefinite matrices
 tests/test_measurements.py

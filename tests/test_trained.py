@@ -71,6 +71,27 @@ def test_counted_costs_by_hand(trained):
     assert landing.model_cost(trained.networks, "counted") == pytest.approx(expected, rel=1e-14)
 
 
+def test_milliseconds_stay_what_they_are_under_every_pattern(trained):
+    limits = {"switch_cost": 2.5, "budget": 150 * 18.4 - 1}
+    run = run_experiment(
+        Settings(**CHOSEN | {"trials": 3, "cost": "latency"} | limits), trained=trained
+    )
+    np.testing.assert_array_equal(run.problem.model_cost, [12.9, 18.4, 24.0])
+    for information in ("causal", "measurement"):
+        again, found = judge_on_pictures(run, information)
+        assert {k: getattr(again.settings, k) for k in limits} == limits
+        assert again.problem.beta == pytest.approx(0.4 * again.settings.upsilon * 2 / 24.0)
+        assert all(150 * 12.9 <= regret.paid <= limits["budget"] for regret in found.values())
+    assert not landing.published_log(run.settings)  # which is in Upsilon
+    text = landing.report_pictures(run)
+    assert text.count("perception (ms)") == 2
+    spent = again.problem.beta * (found["All Small"].paid - found["Optimal"].paid)
+    more = np.mean(found["All Small"].gaussian - found["Optimal"].gaussian)
+    row = re.search(r"Regret under measurement.*?^All Small (.*?)$", text, re.M | re.S)[1]
+    gain = float(row.replace("±", "").split()[8])
+    assert gain == pytest.approx(0.6 * more + spent, abs=0.06)
+
+
 @pytest.mark.parametrize("cost", ["linear", "counted"])
 def test_the_price_follows_the_rule_at_fixed_weights(trained, cost):
     """beta Upsilon (W-1) H = 0.2 alpha (control term of All Small) at alpha, beta = 0.8, 0.2."""
@@ -125,8 +146,8 @@ def test_a_suite_along_the_landing_is_that_of_loops_and_textbook_bounds(trained,
     ("settings", "start"),
     [
         ({"experiment": "trained"}, "preset: the cameras need textbook altitudes, found 'publi"),
-        ({"cost": "counted"}, "cost: simulated models have linear cost, found 'counted'"),
-        (CHOSEN | {"cost": "free"}, "cost: expected one of linear, counted, found 'free'"),
+        ({"cost": "counted"}, "cost: simulated models have linear cost or latency, found"),
+        (CHOSEN | {"cost": "free"}, "cost: expected one of linear, counted, latency, found 'free'"),
     ],
 )
 def test_settings_refuse(settings, start):
@@ -284,6 +305,7 @@ def test_the_report_on_pictures_prints_what_it_was_told(result, monkeypatch):
     # Optimal gains 0.6 (6 - 2) - 0.4 (100 - 50) in one, 0.6 (40 - 20) - 20 on pictures.
     small = ["7.5", "6.0", "7.5", "8.0", "9.9", "40.0", "49.7", "50.0"]
     assert rows["All Small"] == [*small, "-17.6", "3.0", "-8.0", "14.9"]
+    assert "\nUndecided when flown (0 is in the interval): All Small.\n" in text
     assert re.findall(r"^ +(50|100) +(\S+) ± +(\S+)% +(\S+) ± +(\S+)%$", text, re.M) == [
         (n, "15.00", "63.53", "40.00", "127.06") for n in ("50", "100")
     ]  # two draws, t = 12.7062: 5 and 10 times it, in per cent
