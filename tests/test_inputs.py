@@ -1021,6 +1021,7 @@ ROWS: dict[str, tuple[Callable[..., Any], dict[str, Arg]]] = {
             "seed": count(7, "zero huge beyond-int64 beyond-float"),
             "switch_cost": number(0.5),
             "budget": number(2.0, "none"),
+            "residuals": Arg("flag"),
         },
     ),
     "Result.means": (lambda: flown().means(), {}),

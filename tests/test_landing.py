@@ -559,8 +559,10 @@ def test_three_lines_for_prices_and_a_budget_in_milliseconds():
     assert f"Reward: -0.8 control cost - 0.2 * {7 * run.settings.upsilon / 465.8:.4g} a ms" in text
     row = re.search(r"^Optimal +\S+ ± \S+ +(\S+) ", text, re.M)
     assert float(row[1]) == pytest.approx(spent, abs=6e-4)  # not in units of the control cost
-    axis = landing.plot_costs(run).axes[0]
-    assert "perception cost (ms of models and switches)" in (axis.get_xlabel(), axis.get_ylabel())
+    figure = landing.plot_costs(run)
+    said = figure.axes[0].get_xlabel(), figure.axes[0].get_ylabel()
+    plt.close(figure)
+    assert "perception cost (ms of models and switches)" in said
 
 
 @pytest.mark.parametrize(
