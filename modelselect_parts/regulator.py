@@ -269,7 +269,7 @@ def felt_size(task: ControlTask, diagonal: Array, observer: Observer | None = No
     _, _, C, Q, _ = task.over_time()
     entering = C**2 if observer is None else C**2 + observer.gain**2
     alone = np.einsum("tij,ii->tj", entering, Q.max(axis=0)).max()
-    least = 1e-10 * max(diagonal.max(), alone)
+    least = 1e-9 * max(diagonal.max(), alone)
     return np.asarray(np.sqrt(np.maximum(diagonal, least)) + np.finfo(float).tiny)
 
 

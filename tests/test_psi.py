@@ -426,3 +426,14 @@ def test_weights_near_the_ends_of_double_precision_are_refused_or_right(weight, 
             assert weight > 1 and str(error).startswith("task: ")
         else:
             assert weight < 1 and found == pytest.approx(unit * weight * gain**2, rel=1e-6)
+
+
+def test_an_error_without_effect_beside_others_is_rounding_and_no_lost_digit():
+    """The control undoes the first error at no cost, up to 12 units in the last place."""
+    A = [[[1, 1], [0, 1]], [[0, 1], [-1, 0]], [[1, -1], [0, 1]]]
+    B = [[[-1], [-1]], [[-1], [1]], [[0], [0]]]
+    C = [[[-1, 0], [0, 1]], [[1, 1], [1, 1]], [[-1, 1], [0, 1]]]
+    Q = [[[0, 0], [0, 10]], [[10, -10], [-10, 10]], [[10, 0], [0, 0]]]
+    task = modelselect.ControlTask(A, B, C, Q, [[0.01]], 3, [[10, 10], [10, 10]])
+    Psi = modelselect.psi(task, "preview")
+    assert np.abs(Psi[0]).max() < 1e-13 * Psi.max() < Psi[1, 1]
