@@ -106,13 +106,15 @@ def markdown(source: str, folder: Path = ROOT / "notebooks") -> str:
 
 
 class Exporter(HTMLExporter):
-    """The cells of a notebook without prompts, checks folded away above a link to the solution."""
+    """The cells of a notebook without prompts; checks, with a link to the solution, are folded."""
 
     exclude_input_prompt = exclude_output_prompt = True
     raw_template = """{% extends "basic/index.html.j2" %}
 {% block input %}{% if cell.metadata.solution %}
 <details><summary>The check of this exercise</summary>{{ super() }}</details>
 <p><a href="{{ cell.metadata.solution }}">Solution</a></p>
+{% elif "hide-input" in cell.metadata.get("tags", []) %}
+<details><summary>The code of this picture</summary>{{ super() }}</details>
 {% else %}{{ super() }}{% endif %}{% endblock %}"""
 
     def markdown2html(self, source: str) -> str:

@@ -82,6 +82,26 @@ def test_no_result_and_no_solution_is_without_its_notebook():
     assert results | solutions <= set(NAMES)
 
 
+#: Notebooks that can be read in twenty minutes; the others are still longer.
+SHORT = ["03_exact", "04_relaxation"]
+
+
+@pytest.mark.parametrize("name", SHORT)
+def test_a_short_notebook_has_at_most_1400_words_and_120_lines_of_visible_code(name):
+    """A formula is one word; plots (tagged hide-input), checks and places for answers do not count."""
+    told = ("".join(cell["source"]) for cell in cells(name) if cell["cell_type"] == "markdown")
+    text = re.sub(r"\$\$.*?\$\$|\$[^$]+\$", "f", "\n".join(told), flags=re.DOTALL)
+    assert sum(bool(re.search(r"\w", word)) for word in text.split()) <= 1400
+    folded = {"hide-input", "check", "exercise"}
+    shown = [
+        cell["source"]
+        for cell in cells(name)
+        if cell["cell_type"] == "code" and not folded & set(cell["metadata"].get("tags", []))
+    ]
+    lines = "\n".join(map("".join, shown)).splitlines()
+    assert sum(bool(line.strip()) for line in lines) <= 120
+
+
 @each_notebook
 def test_the_readme_names_it(name):
     assert f"notebooks/{name}.ipynb" in README
