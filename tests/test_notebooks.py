@@ -88,7 +88,7 @@ SHORT = ["03_exact", "04_relaxation"]
 
 @pytest.mark.parametrize("name", SHORT)
 def test_a_short_notebook_has_at_most_1400_words_and_120_lines_of_visible_code(name):
-    """A formula is one word; plots (tagged hide-input), checks and places for answers do not count."""
+    """A formula is one word; plots (hide-input), checks and places for answers do not count."""
     told = ("".join(cell["source"]) for cell in cells(name) if cell["cell_type"] == "markdown")
     text = re.sub(r"\$\$.*?\$\$|\$[^$]+\$", "f", "\n".join(told), flags=re.DOTALL)
     assert sum(bool(re.search(r"\w", word)) for word in text.split()) <= 1400
