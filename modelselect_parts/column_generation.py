@@ -57,11 +57,15 @@ def columns(
     if path_sum(price, toll, least) > form.limit:
         return None
     kept, best, value, k = least[None], None, math.inf, 0
-    bound = -math.inf
+    bound, dearest = (
+        -math.inf,
+        1.0 + H * (np.abs(price).max() + (0 if toll is None else toll.max())),
+    )
     for k in range(1, max_iterations + 1):
         mu = mean[steps, kept].reshape(len(kept), -1)
         cost = path_sum(form.linear, form.arc, kept)
         x, lam = master(mu @ M @ mu.T, cost, path_sum(price, toll, kept), form.limit)
+        lam = min(lam, 1e300 / dearest)  # any one is valid, as long as it does not overflow
         d, b = x @ mu, np.zeros((H, W))
         np.add.at(b, (steps, kept), x[:, None])
         value = min(value, float(d @ M @ d + cost @ x))
@@ -113,7 +117,7 @@ def master(G: Array, cost: Array, spent: Array, limit: float) -> tuple[Array, fl
         step = 0.995 * _inside(v, dv, z, dz)
         v, y, z = v + step * dv, y + step * dy, z + step * dz
     x = np.where(v[:k] > 1e-11, v[:k], 0)
-    return x / x.sum(), max(0.0, -float(y[1]) * scale / unit) if limited else 0.0
+    return x / x.sum(), max(0.0, -float(y[1]) * float(scale) / float(unit)) if limited else 0.0
 
 
 def _newton(

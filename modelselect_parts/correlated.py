@@ -139,9 +139,12 @@ def correlated_problem(problem: SelectionProblem, covariance: Covariance) -> Sel
     H, W, p = problem.mean.shape
     joint = _joint(problem, covariance, *np.divmod(np.arange(H * W), W))
     mu, Psi = problem.mean.ravel(), np.asarray(problem.psi).reshape(2 * (H, p))
-    M = (joint + np.outer(mu, mu)).reshape(2 * (H, W, p))
-    lifted = np.einsum("trks,twrkvs->twkv", Psi, M).reshape(2 * (H * W,))
-    lifted = (lifted + lifted.T) / 2
+    with np.errstate(over="ignore", invalid="ignore"):
+        M = (joint + np.outer(mu, mu)).reshape(2 * (H, W, p))
+        lifted = np.einsum("trks,twrkvs->twkv", Psi, M).reshape(2 * (H * W,))
+        lifted = (lifted + lifted.T) / 2
+    if not np.isfinite(lifted).all():
+        raise ValueError("problem: the lifted Psi overflows; rescale psi or the mean errors")
     # Where terms cancel, rounding may leave a square negative: b^2 - b may be added as well.
     size = np.einsum("trs,twrtws->tw", np.abs(problem.blocks), np.abs(M)).ravel()
     raised = lifted + np.diag(len(joint) * EPSILON * size)

@@ -105,8 +105,10 @@ def projected_gradient(
         faster = (1 + math.sqrt(1 + 4 * momentum**2)) / 2
         beyond = (momentum - 1) / faster
         ahead = x + beyond * (x - older)
-        new = project(ahead - step * (slope + beyond * (slope - older_slope)))
-        uphill = ((ahead - new) / step * (new - x)).sum() > 0
+        with np.errstate(over="ignore", invalid="ignore"):  # far beyond the set is far enough
+            move = step * (slope + beyond * (slope - older_slope))
+            new = project(ahead - np.clip(move, -1e200, 1e200))
+            uphill = ((ahead - new) / step * (new - x)).sum() > 0
         older, older_slope, x, momentum = x, slope, new, 1.0 if uphill else faster
         value, bound, slope = evaluate(x)
     return x, max_iterations

@@ -32,11 +32,15 @@ def error_cost(problem: SelectionProblem) -> ErrorCost:
     check_class("problem", problem, "SelectionProblem")
     H, W, _ = problem.mean.shape
     always = np.repeat(np.arange(W)[:, None], H, axis=1)
-    noise = problem.spread.sum(axis=0)
-    own = np.einsum("twi,tij,twj->w", problem.mean, problem.blocks, problem.mean)
-    variance = problem.variance
-    if variance.ndim == 4:
-        variance = np.diagonal(variance, axis1=-2, axis2=-1)
-    mean_square = (problem.mean**2 + variance).sum(axis=-1).mean(axis=0)
-    mu = problem.chosen_mean(always)
-    return ErrorCost(mean_square, own + noise, ((mu @ problem.psi) * mu).sum(axis=1), noise)
+    with np.errstate(over="ignore", invalid="ignore"):
+        noise = problem.spread.sum(axis=0)
+        own = np.einsum("twi,tij,twj->w", problem.mean, problem.blocks, problem.mean)
+        variance = problem.variance
+        if variance.ndim == 4:
+            variance = np.diagonal(variance, axis1=-2, axis2=-1)
+        mean_square = (problem.mean**2 + variance).sum(axis=-1).mean(axis=0)
+        mu = problem.chosen_mean(always)
+        bias = ((mu @ problem.psi) * mu).sum(axis=1)
+    if not np.isfinite([mean_square, own, bias]).all():
+        raise ValueError("problem: the error cost overflows; rescale psi or the mean errors")
+    return ErrorCost(mean_square, own + noise, bias, noise)

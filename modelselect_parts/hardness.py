@@ -65,7 +65,9 @@ def maximum_cut_problem(
     size = 2 * (graph.shape[-1:] or (None,))
     graph = check_array("adjacency", graph, "H H", size)
     if not np.isin(graph, (0, 1)).all() or graph.diagonal().any() or (graph != graph.T).any():
-        raise ValueError("adjacency: expected a symmetric matrix of 0 and 1 without loops")
+        raise ValueError(
+            "adjacency: expected a symmetric matrix of 0 and 1 without loops, found others"
+        )
     H = len(graph)
     D = 2 * H * np.eye(H) - (np.diag(graph.sum(axis=0)) - graph)
     B = np.zeros((H, H, H))

@@ -30,7 +30,7 @@ def frozen(array: npt.NDArray[Any]) -> npt.NDArray[Any]:
 
 def shown(value: object) -> str:
     """Return `value` as it stands in a message: on one line, and not too long."""
-    text = " ".join(repr(value).split())
+    text = " ".join(repr(value.item() if isinstance(value, np.generic) else value).split())
     return text if len(text) <= 80 else text[:77] + "..."
 
 

@@ -375,6 +375,8 @@ class SelectionProblem(Stored):
             paid = np.append(paid, self.switch_cost[c[:-1], c[1:]])
             if self.initial_model is not None:
                 paid = np.append(paid, self.switch_cost[self.initial_model, c[0]])
+        if np.isinf(paid).any():
+            raise ValueError("choices: expected available models, found one that is not")
         return Fraction(self.alpha) * control + Fraction(self.beta) * sum(map(Fraction, paid))
 
     def _accurate_cost(self, choices: Choices) -> tuple[float, float]:

@@ -46,9 +46,11 @@ def semidefinite_root(matrices: Array) -> Array:
     """F (..., k, k) with F F' = `matrices`, symmetric positive semidefinite, up to rounding."""
     diagonal = np.diagonal(matrices, axis1=-2, axis2=-1)[..., None]
     scale = np.sqrt(np.where(diagonal > 0, diagonal, 1))
-    values, V = np.linalg.eigh(matrices / scale / np.swapaxes(scale, -1, -2))
     rounding = matrices.shape[-1] * EPSILON
-    return np.asarray(scale * V * np.sqrt(np.where(values > rounding, values, 0))[..., None, :])
+    with np.errstate(invalid="ignore"):  # what overflows is its caller's to see
+        values, V = np.linalg.eigh(matrices / scale / np.swapaxes(scale, -1, -2))
+        root = np.sqrt(np.where(values > rounding, values, 0))[..., None, :]
+        return np.asarray(scale * V * root)
 
 
 def cholesky_solver(A: Array) -> Callable[[Array], Array]:

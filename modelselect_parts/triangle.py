@@ -71,7 +71,7 @@ def factor(form: Form, found: Certificate, d: Array, multiplier: float, excess: 
         deviation = np.where(useful[..., None], form.mean - d.reshape(H, 1, p), 0)
         size, diagonal = np.abs(deviation).max(axis=1).ravel(), M.diagonal()
         # More than 1e-6 gains nothing: rounding leaves eps / sqrt(1e-6) = 2e-13 of a row in U.
-        share = min(1e-6, max(slack, 0.0) / 100 / max(size**2 @ diagonal, TINY))
+        share = min(1e-6, max(float(slack), 0.0) / 100 / max(float(size**2 @ diagonal), TINY))
         shift = (share + 2 * MATRIX_TOLERANCE * len(diagonal)) * diagonal + TINY
         lent = (shift - form.defect * diagonal).reshape(H, p)  # the rest is off the nodes already
         shifted = node - np.einsum("twi,ti->tw", deviation**2, lent)
