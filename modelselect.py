@@ -96,6 +96,7 @@ from modelselect_parts.checks import (
     check_choices,
     check_class,
     check_count,
+    check_function,
     check_number,
     shown,
 )
@@ -831,6 +832,8 @@ def pareto_front(
     """
     resolution = check_number("resolution", resolution, minimum=0)
     time_left, now = _stopwatch(problem, time_limit), replace(problem, alpha=1.0, beta=0.0)
+    if progress is not None:
+        check_function("progress", progress)
     tolls = 0.0 if problem.switch_cost is None else problem.switch_cost
     prices = np.append(problem._price[np.isfinite(problem._price)], tolls)
     whole = bool((prices == np.floor(prices)).all() and np.abs(prices).max() < 2**53)
@@ -870,6 +873,7 @@ def receding_horizon(
     the `pull` of a known error of the state (`prior_pull`); it gets the model that ran before as
     `initial_model`, what is left of a `budget`, `time_limit` seconds, and a certificate of its own.
     """
+    check_function("outlook", outlook)
     spent, known = 0.0, dict[str, Any]()
     budget = None if budget is None else check_number("budget", budget)
     for t in range(check_count("steps", steps)):

@@ -68,6 +68,7 @@ from modelselect_parts.checks import (
     check_class,
     check_classes,
     check_count,
+    check_function,
     check_name,
     check_number,
     check_range,
@@ -157,6 +158,8 @@ def gaussian_suite(
     for each ``model``, or for each ``step`` and model; a seed gives the same magnitudes in all.
     The `names` are b0, b1, ... unless given; jitter and random signs need an `rng`.
     """
+    check_function("bias", bias)
+    check_function("spread", spread)
     x = check_array("at", at, "H", (None,))
     if names is None and isinstance(cost, Mapping):
         names = list(cost)

@@ -18,6 +18,7 @@ from modelselect_parts.objects import (
     Frozen,
     check_class,
     check_classes,
+    check_function,
     check_name,
     check_rng,
     frozen,

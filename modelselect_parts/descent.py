@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy.linalg as la
 
-from modelselect_parts.checks import Array, check_array, check_count, check_number
+from modelselect_parts.checks import Array, check_array, check_count, check_function, check_number
 
 
 def relative_gap(value: float, bound: float) -> float:
@@ -89,6 +89,8 @@ def projected_gradient(
     the last iterate and the steps taken: until value and bound agree to the fraction `gap`, or to
     the number `negligible`, or `max_iterations`.
     """
+    check_function("evaluate", evaluate)
+    check_function("project", project)
     closed = closes(
         check_number("gap", gap, minimum=0), check_number("negligible", negligible, minimum=0)
     )

@@ -49,6 +49,12 @@ def check_classes(argument: str, values: Any, wanted: str) -> None:
         )
 
 
+def check_function(argument: str, value: object) -> None:
+    """Refuse what cannot be called."""
+    if not callable(value):
+        raise ValueError(f"{argument}: expected a function, found {shown(value)}")
+
+
 def check_rng(rng: object) -> np.random.Generator:
     """Return `rng` if it is a generator."""
     if not isinstance(rng, np.random.Generator):

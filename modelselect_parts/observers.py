@@ -29,7 +29,7 @@ def _covariance(task: ControlTask, name: str, value: npt.ArrayLike, axis: str) -
     k, varies = getattr(task, axis), as_numbers(name, value).ndim == 3
     axes, sizes = ("H " * varies + f"{axis} {axis}"), ((task.horizon,) * varies + (k, k))
     found = check_array(name, value, axes, sizes)
-    return check_semidefinite(name, found, definite=axis == "p")
+    return check_semidefinite(name, found, definite=axis == "p", given=value)
 
 
 def kalman_gains(

@@ -306,7 +306,7 @@ def _spread(name: str, value: ArrayLike, H: int, p: int) -> Array:
     """Return variances as `_of_steps` does, or covariances (H, 1, p, p) given as (H, p, p)."""
     if as_numbers(name, value).ndim == 3:
         full = check_array(name, value, "H p p", (H, p, p))
-        return check_semidefinite(name, full)[:, None]
+        return check_semidefinite(name, full, given=value)[:, None]
     variance = _of_steps(name, value, H, p)
     check_range(name, variance)
     return variance

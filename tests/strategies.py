@@ -239,7 +239,15 @@ def dense_flight(task, x0, s, s_hat, information, prior=0.0):
 #: Tools that the modules take from their parts for themselves.
 TOOLS = {
     *("Frozen", "frozen", "closes", "step_lengths", "congruence", "interior_point", "check_name"),
-    *("semidefinite_root", "relative_gap", "check_range", "check_class", "priced"),
+    *(
+        "semidefinite_root",
+        "relative_gap",
+        "check_range",
+        "check_class",
+        "check_classes",
+        "check_function",
+        "priced",
+    ),
 }
 #: Parts that users reach through another module than modelselect.
 HOMES = {

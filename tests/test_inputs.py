@@ -222,7 +222,7 @@ ERRORS["result"] = {way: ERRORS["record"][way] for way in ("none", "number")}
 REFUSALS = {
     "record": ValueError,
     "result": ValueError,
-    "function": (TypeError, ValueError),
+    "function": ValueError,
     "names": (TypeError, ValueError),
     "batches": (TypeError, ValueError),
     "path": (TypeError, ValueError, OSError),
