@@ -136,8 +136,7 @@ class SelectionProblem(Stored):
     pull: Array | None = None
 
     def __post_init__(self) -> None:
-        names = ("mean", "variance", "model_cost")
-        raw = {name: as_numbers(name, getattr(self, name)) for name in names}
+        raw = {name: as_numbers(name, getattr(self, name)) for name in ("mean", "variance")}
         shape, Psi = raw["mean"].shape, self.psi
         free = self.switch_cost is None and self.budget is None
         if isinstance(Psi, Sensitivity) and len(Psi) > LONG and free:
@@ -150,16 +149,7 @@ class SelectionProblem(Stored):
         H, W, _ = mean.shape
         axes = "H W p p" if raw["variance"].ndim == 4 else "H W p"
         variance = check_array("variance", self.variance, axes, (H, W, p, p)[: len(axes.split())])
-        axes = "H W" if raw["model_cost"].ndim == 2 else "W"
-        sizes = (H, W)[-len(axes.split()) :]
-        cost = check_array("model_cost", self.model_cost, axes, sizes, finite=False)
-        if np.isneginf(cost).any():
-            raise ValueError("model_cost: expected numbers above -inf, found -inf")
-        if (none := np.isinf(np.atleast_2d(cost)).all(axis=-1)).any():
-            found = f"none at step {none.argmax()}" if cost.ndim == 2 else "none"
-            raise ValueError(
-                f"model_cost: expected an available model at every step, found {found}"
-            )
+        cost = _check_cost(self.model_cost, H, W)
         if isinstance(Psi, np.ndarray):
             Psi = check_semidefinite("psi", Psi, given=self.psi)
         if variance.ndim == 4:
@@ -400,6 +390,18 @@ class SelectionProblem(Stored):
 
     def _check(self, choices: npt.ArrayLike) -> Choices:
         return check_choices(choices, *self.mean.shape[:2])
+
+
+def _check_cost(value: Any, H: int, W: int) -> Array:
+    """Return model costs (W,) or (H, W), with a model that is available at every step."""
+    axes, sizes = ("H W", (H, W)) if as_numbers("model_cost", value).ndim == 2 else ("W", (W,))
+    cost = check_array("model_cost", value, axes, sizes, finite=False)
+    if np.isneginf(cost).any():
+        raise ValueError("model_cost: expected numbers above -inf, found -inf")
+    if (none := np.isinf(np.atleast_2d(cost)).all(axis=-1)).any():
+        found = f"none at step {none.argmax()}" if cost.ndim == 2 else "none"
+        raise ValueError(f"model_cost: expected an available model at every step, found {found}")
+    return cost
 
 
 def stepwise_cost(problem: SelectionProblem) -> Array:
