@@ -7,7 +7,6 @@ import math
 import pickle
 import subprocess
 import sys
-import warnings
 from copy import deepcopy
 from dataclasses import FrozenInstanceError, replace
 from itertools import pairwise
@@ -639,6 +638,7 @@ def measurements(draw):
     return residuals, trajectory, bins
 
 
+@pytest.mark.filterwarnings("ignore:fit_suite:UserWarning")  # of ways that few residuals lie on
 @given(measurements())
 def test_fit_equals_a_plain_loop(measured):
     """To the last bit: the sums run in the same order."""
@@ -755,6 +755,7 @@ def test_fit_suite_refuses(changes, start):
 # ---------------------------------------------------------------------------------- the files
 
 
+@pytest.mark.filterwarnings("ignore:.*repeat an earlier one")
 @given(NAMES, st.data())
 def test_residuals_survive_a_file(tmp_path_factory, names, data):
     records = data.draw(
@@ -764,7 +765,6 @@ def test_residuals_survive_a_file(tmp_path_factory, names, data):
     residuals = Residuals(names, model, altitude, residual)
     path = tmp_path_factory.mktemp("residuals") / "residuals.csv"
     write_residuals(path, residuals)
-    warnings.simplefilter("ignore")  # of rows that are drawn twice
     back = read_residuals(path, names)
     assert back.names == residuals.names
     for field in ("model", "altitude", "residual"):
