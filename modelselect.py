@@ -629,7 +629,7 @@ def _price_the_budget(
         return float(lower - lam * limit - rounding), found, cut
 
     known = passes.Cut(search.cost, float(problem.perception_term(search.choices)))
-    bound, lam, found = passes.dual(solved, limit, known, search.point[1])
+    bound, lam, found = passes.dual(solved, limit, known, search.point[1], search.expired)
     if toll is not None:
         search.offer(_swap(problem, search.choices, time_left, PERTURBATIONS)[0])
     search.move((found.reference, lam), bound)

@@ -46,7 +46,11 @@ Solved = tuple[float, Any, Cut]
 
 
 def dual(
-    solved: Callable[[float], Solved], limit: float, known: Cut, multiplier: float
+    solved: Callable[[float], Solved],
+    limit: float,
+    known: Cut,
+    multiplier: float,
+    expired: Callable[[], bool],
 ) -> tuple[float, float, Any]:
     """Maximise L all but for a tenth of the gap; return the best bound, its lam and its witness.
 
@@ -56,6 +60,8 @@ def dual(
     for _ in range(CUTS):
         bound, witness, cut = solved(lam)
         best = max(best, (bound, lam, witness), key=lambda found: found[0])
+        if expired():
+            break
         if cut.spent > limit:
             rising = cut
         elif lam == 0:

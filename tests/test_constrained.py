@@ -197,7 +197,12 @@ def test_the_dual_of_a_budget_is_a_bound_that_no_price_beats_by_much(seed):
         return bound, c, passes.Cut(float(cost[c]), float(spent[c]))
 
     known = passes.Cut(float(cost[k]), float(spent[k]))
-    bound, lam, c = passes.dual(solved, limit, known, float(np.random.default_rng(seed).random()))
+    first = float(np.random.default_rng(seed).random())
+    bound, lam, c = passes.dual(solved, limit, known, first, lambda: False)
+    asked = len(tried)
+    passes.dual(solved, limit, known, first, lambda: True)
+    assert len(tried) == asked + 1  # out of time
+    del tried[asked:]
     tiny = 1e-12 * np.abs(cost).max()
     assert lam in tried and lam >= 0 and len(tried) <= passes.CUTS
     assert bound == pytest.approx(cost[c] + lam * (spent[c] - limit))
