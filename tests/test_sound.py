@@ -540,6 +540,7 @@ def test_no_bound_is_below_what_has_to_be_paid_in_any_case(solver):
     assert not found, found
 
 
+@pytest.mark.unmutated  # of few problems, a share says little
 @every_solver
 def test_nine_in_ten_of_what_double_precision_can_decide_are_decided(solver):
     """In every family: a solver that never claims anything is sound as well, and of no use."""
