@@ -106,15 +106,19 @@ def markdown(source: str, folder: Path = ROOT / "notebooks") -> str:
 
 
 class Exporter(HTMLExporter):
-    """The cells of a notebook without prompts; checks, with a link to the solution, are folded."""
+    """The cells of a notebook without prompts.
+
+    Checks are folded away above a link to the solution, code tagged "hide-input" above what it
+    shows.
+    """
 
     exclude_input_prompt = exclude_output_prompt = True
     raw_template = """{% extends "basic/index.html.j2" %}
 {% block input %}{% if cell.metadata.solution %}
-<details><summary>The check of this exercise</summary>{{ super() }}</details>
+<details class="code"><summary>The check of this exercise</summary>{{ super() }}</details>
 <p><a href="{{ cell.metadata.solution }}">Solution</a></p>
 {% elif "hide-input" in cell.metadata.get("tags", []) %}
-<details><summary>The code of this picture</summary>{{ super() }}</details>
+<details class="code"><summary>The code of this cell</summary>{{ super() }}</details>
 {% else %}{{ super() }}{% endif %}{% endblock %}"""
 
     def markdown2html(self, source: str) -> str:
@@ -317,7 +321,8 @@ summary { cursor: pointer; margin: 0.5rem 0; color: var(--link); }
   border-top: 1px solid var(--line); padding: 1rem 0 2rem; }
 .turn a[rel="next"] { margin-left: auto; text-align: right; }
 @media print {
-  header, footer, .skip, summary { display: none; }
+  header, footer, .skip, .code { display: none; }
+  #the-sheet, #recall { break-before: page; }
   main { max-width: none; }
   body { font-size: 11pt; }
   pre { white-space: pre-wrap; }

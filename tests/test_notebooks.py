@@ -11,11 +11,13 @@ import re
 from functools import cache
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import landing
 import modelselect
 import perception
+from modelselect_parts.regulator import PATTERNS
 
 ROOT = Path(__file__).resolve().parents[1]
 NOTEBOOKS = ROOT / "notebooks"
@@ -34,6 +36,13 @@ LABEL = re.compile(r"\b(?:eq|prob|thm|sol|opt|optAppx|ass|fig|remark):\w+")
 MACHINE = re.compile(r"/(?:tmp|home|root|work|usr|Users)/|[A-Z]:\\\\|0x[0-9a-f]{6}")
 LOADS = re.compile(r"""(?:src|srcset|poster)\s*=\s*["']?\s*(?!data:)\w*:?//|url\(\s*["']?\w*:?//""")
 MOST_HTML = 1_500_000  # bytes of a page inside a notebook, such as an animation
+
+# Twenty minutes of reading.  Words: of all Markdown, with answers and exercises; formulas, names in
+# code and numbers are none.  Lines: not blank, and open to the eye: no hidden, exercise or check.
+SHORT = [name for name in NAMES if name[:2] in {"00", "01", "02", "03", "04"}]
+MOST_WORDS, MOST_LINES = 1400, 120
+UNSEEN = {"hide-input", "exercise", "check"}
+MOST_COPIED = 100  # lines of the cell that is the whole of it, in 00
 
 each_notebook = pytest.mark.parametrize("name", NAMES)
 
@@ -66,8 +75,8 @@ def section(mark: str) -> str:
 # --- files ---
 
 
-def test_there_are_seven_numbered_in_order():
-    assert [name[:3] for name in NAMES] == [f"{k:02d}_" for k in range(1, 8)]
+def test_there_are_eight_numbered_in_order():
+    assert [name[:3] for name in NAMES] == [f"{k:02d}_" for k in range(8)]
 
 
 @each_notebook
@@ -80,26 +89,6 @@ def test_no_result_and_no_solution_is_without_its_notebook():
     results = {path.stem for path in NOTEBOOKS.glob("*.ipynb")}
     solutions = {path.stem for path in (NOTEBOOKS / "solutions").glob("*.py")}
     assert results | solutions <= set(NAMES)
-
-
-#: Notebooks that can be read in twenty minutes; the others are still longer.
-SHORT = ["03_exact", "04_relaxation"]
-
-
-@pytest.mark.parametrize("name", SHORT)
-def test_a_short_notebook_has_at_most_1400_words_and_120_lines_of_visible_code(name):
-    """A formula is one word; plots (hide-input), checks and places for answers do not count."""
-    told = ("".join(cell["source"]) for cell in cells(name) if cell["cell_type"] == "markdown")
-    text = re.sub(r"\$\$.*?\$\$|\$[^$]+\$", "f", "\n".join(told), flags=re.DOTALL)
-    assert sum(bool(re.search(r"\w", word)) for word in text.split()) <= 1400
-    folded = {"hide-input", "check", "exercise"}
-    shown = [
-        cell["source"]
-        for cell in cells(name)
-        if cell["cell_type"] == "code" and not folded & set(cell["metadata"].get("tags", []))
-    ]
-    lines = "\n".join(map("".join, shown)).splitlines()
-    assert sum(bool(line.strip()) for line in lines) <= 120
 
 
 @each_notebook
@@ -153,7 +142,7 @@ def test_the_index_leads_to_it_and_each_label_there_is_in_it(name):
 def test_it_ends_with_a_summary_and_exercises(name):
     text = "\n".join(source(cell) for cell in cells(name) if cell["cell_type"] == "markdown")
     assert re.search(r"^(?:## |\*\*)In one paragraph", text, re.MULTILINE)
-    titles = re.findall(r"^## Exercises$|^### Exercise (\d): \S", text, re.MULTILINE)
+    titles = re.findall(r"^## Exercises$|^### Exercise (\d)(?: \(open\))?: \S", text, re.MULTILINE)
     assert titles == ["", *(str(k) for k in range(1, len(titles)))]
 
 
@@ -192,6 +181,71 @@ def test_every_picture_is_described_in_words(name):
 def test_claims_are_asserted_before_the_readers_eyes(name):
     shown = [text for text in code(name) if "Exercise " not in text]
     assert sum("assert" in text for text in shown) >= 3
+
+
+def words(text: str) -> list[str]:
+    """Split Markdown into its words, without formulas, code and tags."""
+    text = re.sub(r"\$\$.*?\$\$|\$[^$]*\$|`[^`]*`|<[^>]*>", " ", text, flags=re.DOTALL)
+    return re.findall(r"[^\W\d_][\w'’-]*", text)
+
+
+def test_words_are_counted_without_formulas_code_tags_and_numbers():
+    text = "# 1. It's *half* of $a_t = b$:\n$$x\ny$$\n<b>well-known</b> `code here`, 0.5"
+    assert words(text) == ["It's", "half", "of", "well-known"]
+
+
+@pytest.mark.parametrize("name", SHORT)
+def test_it_is_read_in_twenty_minutes(name):
+    text = " ".join(source(cell) for cell in cells(name) if cell["cell_type"] == "markdown")
+    seen = [c for c in cells(name) if not UNSEEN & set(c["metadata"].get("tags", []))]
+    lines = [
+        line
+        for cell in seen
+        if cell["cell_type"] == "code"
+        for line in source(cell).splitlines()
+        if line.strip()
+    ]
+    assert len(words(text)) <= MOST_WORDS
+    assert len(lines) <= MOST_LINES
+
+
+@pytest.mark.parametrize("name", SHORT)
+def test_it_asks_three_questions_and_folds_the_answers(name):
+    text = "\n".join(source(cell) for cell in cells(name) if cell["cell_type"] == "markdown")
+    recall = text.partition("\n## Recall\n")[2].partition("\n## Exercises\n")[0]
+    assert len(re.findall(r"<details><summary>[^<]+\?</summary>", recall)) >= 3
+    assert len(re.findall(r"^### Exercise \d \(open\): ", text, re.MULTILINE)) >= 1
+
+
+def test_the_hundred_lines_stand_alone_and_agree_with_the_modules():
+    (cell,) = with_tag("00_hundred_lines", "copy")
+    tree, ours = ast.parse(source(cell)), {}
+    imports = [node for node in ast.walk(tree) if isinstance(node, ast.Import | ast.ImportFrom)]
+    assert {name for node in imports for name in re.findall(r"'(\w+)", ast.dump(node))} <= {
+        *("numpy", "np", "linalg", "cholesky", "pinv", "solve")
+    }
+    assert len(source(cell).splitlines()) <= MOST_COPIED
+    exec(compile(tree, "00_hundred_lines", "exec"), ours)
+    assert set(ours["PATTERNS"]) == set(PATTERNS)
+    rng = np.random.default_rng(0)
+    for n, m, p in [(1, 1, 1), (3, 2, 2), (2, 1, 1), (3, 1, 1)]:
+        A, B, C = (rng.normal(size=(n, k)) for k in (n, m, p))
+        robot, gains = (A, B, C, np.eye(n), np.eye(m)), rng.normal(size=(n, p))
+        task = modelselect.ControlTask(*robot, 6)
+        for name in PATTERNS:
+            theirs = modelselect.psi(task, name, gains=gains if PATTERNS[name].gains else None)
+            found = ours["sensitivity"](*robot, 6, name, gains)
+            np.testing.assert_allclose(found, theirs, atol=1e-9 * theirs.max())
+        if p == 1:
+            mean, linear = rng.normal(size=(6, 3)), rng.uniform(0, 2, (6, 3))
+            c, cost, bound, d, _, _ = ours["schedule"](*robot, mean, linear)
+            mean = mean[:, :, None]
+            problem = modelselect.SelectionProblem(
+                modelselect.psi(task, "preview"), mean, 0 * mean, linear
+            )
+            np.testing.assert_allclose(cost, modelselect.enumerate_schedules(problem).cost)
+            np.testing.assert_allclose(cost, problem.total_cost(c))
+            np.testing.assert_allclose(bound, modelselect.reference_bound(problem, d)[0])
 
 
 # --- what must not be there ---
@@ -371,6 +425,14 @@ def test_a_formula_that_cannot_be_converted_is_named(book, tex):
 def test_a_page_that_loads_anything_is_found(book, html):
     assert book.loads(html)
     assert [*book.flaws({"a.html": html})]
+
+
+def test_hidden_code_is_folded_and_its_picture_is_not(build, book):
+    cell = code_cell(build, [PICTURE], alt="words", tags=["hide-input"])
+    html = book.render("01_x", build.new_notebook(cells=[cell]))
+    folded, _, rest = html.partition("</details>")
+    assert "highlight" in folded.partition("<summary>")[2]
+    assert "<img" in rest and "<img" not in folded
 
 
 def test_links_that_the_reader_may_follow_load_nothing(book):

@@ -16,48 +16,51 @@ def gain(horizon, price):
 # %% [markdown]
 # ## Exercise 2
 #
-# The largest value of $e^\top \Psi e$ over unit vectors is the largest eigenvalue of $\Psi$,
-# reached at its eigenvector: the last column of what `eigh` returns. Entry $r$ of step $t$ stands
-# at place $tp + r$, which is what `reshape(H, p)` undoes.
+# Step $t$ owns rows $tm$ to $tm + m - 1$ of preview's $Y$, and multiplies them with its own
+# forecast's errors. Their entries for $k < t$ are 0: nobody uses a forecast of the past. If all
+# forecasts are the same, the sum is $|Ye|^2$, preview's $e^\top \Psi e$.
 
 
 # %%
-def worst_error(task, information):
-    """Return errors (H, p) of unit sum of squares with the largest regret."""
-    _, vectors = np.linalg.eigh(psi(task, information))
-    return vectors[:, -1].reshape(task.horizon, task.p)
+def mpc_regret(task, forecasts):
+    """Return the regret of a controller that plans anew from each step's own forecast."""
+    H, m = task.horizon, task.m
+    Y = rows(task, "preview").reshape(H, m, -1)
+    return (np.einsum("tmk,tk->tm", Y, forecasts.reshape(H, -1)) ** 2).sum()
 
 
 # %% [markdown]
 # ## Exercise 3
 #
-# The seas are all sign patterns. Both roll-outs use the same sea and the same controller; only what
-# it is fed differs. Averaging over *all* seas makes the terms between $s$ and $e$ vanish exactly.
+# A unit error costs $\Psi_{ii}$; two together $\Psi_{ii} + \Psi_{jj} + 2\Psi_{ij}$. A symmetric
+# matrix has $\frac12 k(k + 1)$ numbers, and each takes one call.
 
 
 # %%
-def expected_regret(task, e, information):
-    """Return the regret of errors e (H, p), averaged over all seas of -1 and 1."""
-    seas = np.array(list(product((-1.0, 1.0), repeat=e.size))).reshape(-1, *e.shape)
-    rest = np.zeros(task.n)
-    fed = control_cost(task, *run_controller(task, rest, seas, seas + e, information))
-    true = control_cost(task, *run_controller(task, rest, seas, seas, information))
-    return (fed - true).mean()
+def measure(price, size):
+    """Return Psi (size, size) from calls of price(e)."""
+    unit = np.eye(size)
+    Psi = np.diag([float(price(e)) for e in unit])
+    for i in range(size):
+        for j in range(i):
+            both = price(unit[i] + unit[j])
+            Psi[i, j] = Psi[j, i] = (both - Psi[i, i] - Psi[j, j]) / 2
+    return Psi
 
 
 # %% [markdown]
 # ## Exercise 4
 #
-# Replay the drive under each pattern and keep the one whose commands are nearest. Comparing all
-# commands matters: `open_loop` and `preview` give the same first command, since neither has seen
-# anything yet.
+# A robot that forgets, $A = 0.5$, and is charged for its end alone: an early push has died out by
+# then, by itself, so a good plan does not answer it. A late one counts in full. Where states do not
+# die out, an open-loop plan pays for an early error in every later state, and the last is cheap.
 
 
 # %%
-def identify(task, x0, s, s_hat, controls):
-    """Return the information pattern under which run_controller gives these controls."""
-
-    def misfit(information):
-        return np.abs(run_controller(task, x0, s, s_hat, information)[1] - controls).max()
-
-    return min(INFORMATION, key=misfit)
+def late_is_dear():
+    """Return a ControlTask, and a sentence that explains its dear last error."""
+    task = ms.ControlTask([[0.5]], [[1]], [[1]], [[0]], [[1]], 10, Q_final=[[1]])
+    return (
+        task,
+        "early pushes die out before the only state that is charged, so nobody answers them",
+    )

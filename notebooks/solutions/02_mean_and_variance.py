@@ -1,33 +1,6 @@
 # %% [markdown]
 # ## Exercise 1
 #
-# After the third step nothing has been assumed about independence:
-# $E[e^\top \Psi e] = \mu^\top \Psi \mu + \mathrm{tr}(\Psi S)$. For symmetric matrices the trace of
-# the product is the sum of the products of their entries.
-
-
-# %%
-def expected_regret(Psi, mean, covariance):
-    """Return E[e'Psi e] for errors with this mean (pH,) and covariance (pH, pH)."""
-    return mean @ Psi @ mean + (Psi * covariance).sum()
-
-
-# %% [markdown]
-# ## Exercise 2
-#
-# A constant bias costs $b^2\, \mathbf 1^\top \Psi \mathbf 1$, the sum of all entries. Independent
-# noise costs $\sigma^2\, \mathrm{tr}\,\Psi$, the sum of the diagonal. Equate and take the root.
-
-
-# %%
-def break_even_bias(Psi, sigma):
-    """Return the constant bias that costs as much as independent noise of deviation sigma."""
-    return sigma * np.sqrt(np.trace(Psi) / Psi.sum())
-
-
-# %% [markdown]
-# ## Exercise 3
-#
 # Two opposite errors of nearly equal size. Step by step the smaller one always wins, and its errors
 # add up; run in turn, the two nearly cancel.
 
@@ -37,19 +10,52 @@ fooling_prices = [0, 0]
 
 
 # %% [markdown]
-# ## Exercise 4
+# ## Exercise 2
 #
-# At step $t$ the coin's error has mean $m_t = \sum_w b_{tw} \mu_{tw}$ and variance
-# $\sum_w b_{tw} (\mu_{tw} - m_t)^2$: the models' own errors do not vary, but which of them strikes
-# does. Steps are independent, so the formula of this notebook applies to these moments. The added
-# variance is what a coin pays and a blend does not.
+# Within a run only $n$ varies: its variance, with $H - 1$ freedoms, is $\sigma^2$ on average. The
+# mean of a run varies by $\tau^2 + \sigma^2 / H$ from run to run. The difference may come out
+# negative in one sample; cut off at 0 it would be too large on average.
 
 
 # %%
-def price_of_a_coin(problem, weights):
-    """Return the expected total cost of drawing models with these probabilities (H, W)."""
-    mu, b = problem.mean[:, :, 0], np.asarray(weights)
-    m = (b * mu).sum(axis=1)
-    variance = (b * (mu - m[:, None]) ** 2).sum(axis=1)
-    control = m @ problem.psi @ m + problem.psi.diagonal() @ variance
-    return problem.alpha * control + problem.beta * (b @ problem.model_cost).sum()
+def split(residuals):
+    """Return estimates of b, tau squared and sigma squared without bias."""
+    means = residuals.mean(axis=1)
+    sigma_squared = residuals.var(axis=1, ddof=1).mean()
+    tau_squared = means.var(ddof=1) - sigma_squared / residuals.shape[1]
+    return means.mean(), tau_squared, sigma_squared
+
+
+# %% [markdown]
+# ## Exercise 3
+#
+# One more step costs model $w$ another $\tau_w^2 (2n_w + 1)$, which rises with $n_w$: a sum of
+# convex functions of single counts. Exchanging a step between two models then never helps once the
+# least increment was taken each time. Without integers $n_w \propto 1/\tau_w^2$: the steadier a
+# model, the more steps, but every model gets some. (In the selection problem itself greedy is wrong
+# as its steps differ, and as one choice changes the price of all others.)
+
+
+# %%
+def portfolio_counts(tau_squared, H):
+    """Return how many of H steps each model should run, an integer array (W,)."""
+    counts = np.zeros(len(tau_squared), dtype=int)
+    for _ in range(H):
+        counts[np.argmin(tau_squared * (2 * counts + 1))] += 1
+    return counts
+
+
+# %% [markdown]
+# ## Exercise 4
+#
+# Thrust ten thousand times as dear as position: the robot spreads its answer to a push over many
+# steps beforehand, so that errors far apart meet in the same commands. With $a$ the closed loop,
+# near 1 here, and a long horizon the factor nears $(1 + a)/(1 - a)$. A heavy end does not matter
+# far from it; a stable $A$ makes errors die out and the factor fall.
+
+
+# %%
+def patient():
+    """Return a ControlTask on which a bias costs 15 times its square, and a sentence."""
+    task = ms.ControlTask([[1]], [[1]], [[1]], [[1]], [[10_000]], 300)
+    return task, "dear thrust spreads the bracing over many steps, where errors far apart meet"

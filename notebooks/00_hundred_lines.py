@@ -1,0 +1,443 @@
+# %% [markdown]
+# # 0. The whole of it in a hundred lines
+#
+# **After this notebook you can**
+#
+# - go from a robot's $A$, $B$, $C$ to a schedule of perception models with a proof;
+# - read the sensitivity $\Psi$ of five kinds of controllers off one formula;
+# - say which kind your robot is;
+# - change the hundred lines, and know what stays proved.
+#
+# **Covers** `eq:dynamics`, `eq:control_cost_diff`, `prob:model_selection_expectation`,
+# `sol:model_selection_expectation`.
+#
+# A robot follows $x_{t+1} = A x_t + B u_t + C s_t$ and pays $x^\top Q x + u^\top R u$ at each
+# step. A perception model tells it $\hat s_t = s_t + e_t$; large models err less and cost more.
+# **Which model should run at which step?** Here is the answer, in NumPy alone. Notebooks 1 to 4
+# say why each line is true; skim now, come back later.
+#
+# ## Two steps by hand
+#
+# All matrices are 1, $H = 2$, and the robot acts on a forecast. Model b0 is free and errs by $1$;
+# b1 costs 0.2 and errs by $-0.5$.
+#
+# 1. **Riccati**, from the last step: $P_2 = 1$, $S_1 = R + P_2 = 2$, $A - BK_1 = \frac12$;
+#    $P_1 = 1 + \frac12 = \frac32$, $S_0 = \frac52$.
+# 2. **$\Psi$.** A wrong $e_1$ puts the last command off and costs $\frac12 e_1^2$. Foreseen one
+#    step earlier, half of it is left beside $P_1 e_0$: that costs $\frac25 (\frac32 e_0 + \frac12
+#    e_1)^2$. The sum is $e^\top \Psi e$, $\Psi = (0.9, 0.3;\ 0.3, 0.6)$.
+# 3. **Costs**: `[0 0]` 2.1, `[0 1]` 0.95, `[1 0]` 0.725, `[1 1]` 0.925. Errors that cancel win.
+# 4. **Bound.** With $d = (\frac2{45}, \frac4{45})$ an error $\mu$ costs $\frac2{15}\mu$ along the
+#    tangent of the square. With its price either model costs $\frac2{15}$ a step, so no
+#    schedule is below $2 \cdot \frac2{15} - d^\top \Psi d = 0.258$.
+# 5. **Search** between 0.258 and 0.725, last step first.
+#
+# ## The cell
+#
+# | function | what it computes |
+# |---|---|
+# | `riccati` | $P_{t+1}$, $S_t = R + B^\top P_{t+1} B$, the closed loop $A - BK_t$ |
+# | `sensitivity` | $\Psi$: what a wrong belief adds to each command, squared and summed |
+# | `certificate` | for any $d$: a bound, and what each model costs above the cheapest |
+# | `reference` | a good $d$: the mean error of a blend of schedules |
+# | `search` | every schedule that fits in the room above the bound, as labels |
+# | `schedule` | all of it; a narrow search first, as a better schedule leaves less room |
+
+# %% tags=["copy"]
+import numpy as np
+from numpy.linalg import cholesky, pinv, solve
+
+PATTERNS = {  # error m_t of the believed state, from z = A m_{t-1}; e_t in u_t? later e foreseen?
+    "open_loop": (lambda z, before, now, gain: z + before, 1, 1),
+    "preview": (lambda z, before, now, gain: 0 * z, 1, 1),
+    "causal": (lambda z, before, now, gain: 0 * z, 1, 0),
+    "measurement": (lambda z, before, now, gain: now, 0, 0),
+    "filter": (lambda z, before, now, gain: z + gain @ (now - z), 0, 0),
+}
+
+
+def riccati(A, B, Q, R, H):
+    """Return (P_{t+1}, S_t, A - B K_t) of each step."""
+    P, steps = Q, []
+    for _ in range(H):
+        S = R + B.T @ P @ B
+        closed = A - B @ solve(S, B.T @ P @ A)
+        steps.insert(0, (P, S, closed))
+        P = Q + A.T @ P @ closed
+    return steps
+
+
+def sensitivity(A, B, C, Q, R, H, pattern, gain=0):
+    """Psi = Y'Y; row t of Y is G_t^{-1} B'(P_{t+1}(A m_t + C e_t) + q_{t+1}), S_t = G_t G_t'."""
+    memory, told, foresight = PATTERNS[pattern]
+    steps, (n, p) = riccati(A, B, Q, R, H), C.shape
+    Ce = C @ np.eye(p * H).reshape(H, p, p * H)  # each column: an error of 1 at one step
+    q = np.zeros((H + 1, n, p * H))
+    for t in reversed(range(H)):
+        P, _, closed = steps[t]
+        q[t] = foresight * closed.T @ (P @ Ce[t] + q[t + 1])
+    m, before, rows = 0 * q[0], 0 * q[0], []
+    for t, (P, S, _) in enumerate(steps):
+        m = memory(A @ m, before, Ce[t], gain @ pinv(C) if pattern == "filter" else 0)
+        wrong = P @ (A @ m + told * Ce[t]) + q[t + 1]
+        rows.append(solve(cholesky(S), B.T @ wrong))
+        before = Ce[t]
+    Y = np.concatenate(rows)
+    return Y.T @ Y
+
+
+def certificate(Psi, mean, linear, d):
+    """For any d: total(c) = bound + sum_t reduced[t, c_t] + (mu_c - d)'Psi(mu_c - d)."""
+    G = 2 * mean * (Psi @ d)[:, None] + linear
+    return G.min(axis=1).sum() - d @ Psi @ d, G - G.min(axis=1, keepdims=True)
+
+
+def reference(Psi, mean, linear, rounds=2000):
+    """A good d: blend in the schedule that the gradient likes best (Frank and Wolfe)."""
+    T = np.arange(len(mean))
+    d, fee = mean[:, 0], linear[:, 0].sum()
+    for _ in range(rounds):
+        c = certificate(Psi, mean, linear, d)[1].argmin(axis=1)
+        to, slope = mean[T, c] - d, linear[T, c].sum() - fee
+        bend = to @ Psi @ to
+        step = np.clip(-(2 * d @ Psi @ to + slope) / (2 * bend), 0, 1) if bend > 0 else slope < 0
+        d, fee = d + step * to, fee + step * slope
+    return d
+
+
+def search(A, B, C, Q, R, mean, d, reduced, room, width):
+    """Return the labels (extra, costate, models) left at step 0, and all: (t, label, kept)."""
+    steps, felt, log = riccati(A, B, Q, R, len(mean)), [0 * A], []
+    for _, S, closed in steps:  # what earlier steps feel of a difference of costates
+        felt.append(B @ solve(S, B.T) + closed @ felt[-1] @ closed.T)
+    alive = [(0.0, np.zeros(len(A)), ())]
+    for t in reversed(range(len(mean))):
+        (P, S, closed), grown = steps[t], []
+        for extra, g, later in alive:
+            for w, error in enumerate(mean[t]):
+                h = P @ C[:, 0] * (error - d[t]) + g
+                paid = B.T @ h @ solve(S, B.T @ h)
+                grown.append((extra + reduced[t, w] + paid, closed.T @ h, (w, *later)))
+        alive = []
+        for x, g, models in sorted(grown, key=lambda label: label[0]):
+            fits = x <= room and len(alive) < width
+            for y, other, _ in alive if fits else ():
+                far = max(0, (g - other) @ felt[t] @ (g - other))  # rho squared
+                fits = fits and y + 2 * np.sqrt((room - x) * far) + far > x
+            log.append((t, (x, g, models), fits))
+            if fits:
+                alive.append((x, g, models))
+    return alive, log
+
+
+def schedule(A, B, C, Q, R, mean, linear):
+    """Return the cheapest schedule (preview, p = 1), its cost, bound, d, room and the log."""
+    Psi, T = sensitivity(A, B, C, Q, R, len(mean), "preview"), np.arange(len(mean))
+    d = reference(Psi, mean, linear)
+    bound, reduced = certificate(Psi, mean, linear, d)
+    off = mean[T, reduced.argmin(axis=1)] - d
+    room = off @ Psi @ off  # a schedule of reduced costs 0 costs just this above the bound
+    for width in (10, np.inf):
+        spare = room + 1e-9 * (bound + room)  # for rounding
+        alive, log = search(A, B, C, Q, R, mean, d, reduced, spare, width)
+        room = min([room] + [label[0] for label in alive])
+    extra, _, c = alive[0]
+    return np.array(c), bound + extra, bound, d, spare, log
+
+
+# %% [markdown]
+# The two steps, checked:
+
+# %%
+one = np.eye(1)
+np.testing.assert_allclose(
+    sensitivity(one, one, one, one, one, 2, "preview"), [[0.9, 0.3], [0.3, 0.6]]
+)
+c, cost, bound, *_ = schedule(
+    one, one, one, one, one, np.tile([1, -0.5], (2, 1)), np.tile([0, 0.2], (2, 1))
+)
+print(c, f"costs {cost:.3f}, bound {bound:.3f}")
+assert c.tolist() == [1, 0] and np.isclose(cost, 0.725) and np.isclose(bound, 58 / 225)
+
+# %% [markdown]
+# Now a cart (offset and speed; its offset is pushed by what it estimates) for 40 steps. Three
+# models err by known sizes with random signs.
+
+# %%
+H, dt = 40, 0.1
+A, B, C = np.array([[1, dt], [0, 1]]), np.array([[0], [dt]]), np.array([[dt], [0]])
+Q, R, size = np.eye(2), np.array([[0.1]]), np.array([0.5, 0.2, 0.05])
+mean = np.random.default_rng(0).choice([-1, 1], (H, 3)) * size
+Psi = sensitivity(A, B, C, Q, R, H, "preview")
+linear = np.diag(Psi)[:, None] * (0.2 * size) ** 2 + [0, 0.002, 0.004]  # variance and price
+best, cost, bound, d, room, log = schedule(A, B, C, Q, R, mean, linear)
+single = [mean[:, w] @ Psi @ mean[:, w] + linear[:, w].sum() for w in range(3)]
+print(*best, sep="")
+print(f"costs {cost:.5f}, root bound {bound:.5f}, best single model {min(single):.5f}")
+print(f"{len(log)} labels judged, of {3.0**H:.0e} schedules")
+assert bound < cost < 0.51 * min(single)
+
+# %% [markdown]
+# Half the cost of the best single model, mostly by small models whose errors cancel. The modules
+# agree, in all five patterns:
+
+# %%
+import modelselect as ms
+
+task, gain = ms.ControlTask(A, B, C, Q, R, H), np.array([[0.3], [0.1]])
+for name in PATTERNS:
+    gains = gain if name == "filter" else None
+    theirs = ms.psi(task, name, gains=gains)
+    np.testing.assert_allclose(
+        sensitivity(A, B, C, Q, R, H, name, gain), theirs, atol=1e-12 * theirs.max()
+    )
+problem = ms.SelectionProblem(Psi, mean[:, :, None], 0 * mean[:, :, None], linear)
+answer = ms.solve(problem)
+np.testing.assert_allclose([cost, bound], [answer.cost, ms.reference_bound(problem, d)[0]])
+assert answer.is_optimal and (answer.choices == best).all()
+
+# %% [markdown]
+# ## A picture of the labels
+#
+# A **label** is a partial schedule, from some step to the last: what it costs above the bound, and
+# its costate $g$, all that earlier steps feel of it. Its disc shows what these may still add
+# before it leaves the room. If a disc lies inside another, its label may go: whatever it can
+# still afford, the other can, too.
+
+# %% alt="Left, labels by step, from step 39 to step 0, at the height of their extra cost over the room: at most 29 dots a step are kept, crosses are dropped, all above 1 among them; the line of the optimum climbs from 0 to 1. Right, the discs of step 15 in the plane of costates: 14 kept ones overlap in a long cloud, each dashed grey one lies inside a kept one; the optimum's is thick." tags=["hide-input"]
+import matplotlib.pyplot as plt
+
+import landing
+
+plt.rcParams.update(landing.STYLE)
+ORANGE, BLUE = (landing.LOOK[name]["color"] for name in ("Optimal", "Best Single"))
+looks = {
+    "kept": {"marker": "o", "color": BLUE},
+    "dropped": {"marker": "x", "color": "#999999"},
+}
+ours = {t: label for t, label, _ in log if label[2] == tuple(best[t:])}
+figure, (left, right) = plt.subplots(1, 2, figsize=(13, 6), width_ratios=[5, 6])
+for fate, look in looks.items():
+    points = [
+        (t, x / room) for t, (x, *_), kept in log if kept == (fate == "kept") if x < 1.3 * room
+    ]
+    left.plot(*np.transpose(points), ls="", ms=6, label=fate, **look)
+left.plot([*ours], [x / room for x, *_ in ours.values()], color=ORANGE, lw=4, label="the optimum")
+left.axhline(1, color="black", lw=1)
+left.set(xlim=(H, -1), ylim=(-0.03, 1.5), xlabel="step, from the last to the first")
+left.set(ylabel="extra cost / room", title="Few labels live at a time")
+left.legend(loc="upper left", ncols=3, columnspacing=0.8, handletextpad=0.2)
+
+at, felt = 15, 0 * A
+for _, S, closed in riccati(A, B, Q, R, H)[:at]:
+    felt = B @ solve(S, B.T) + closed @ felt @ closed.T
+values, vectors = np.linalg.eigh(felt)
+root = np.sqrt(values.clip(0))[:, None] * vectors.T  # distances of root g are rho
+for t, (x, g, models), kept in log:
+    if t == at and x < room:
+        edge = (
+            {"edgecolor": BLUE, "lw": 2} if kept else {"edgecolor": "#777777", "ls": "--", "lw": 2}
+        )
+        if (x, models) == (ours[at][0], ours[at][2]):
+            edge = {"edgecolor": ORANGE, "lw": 5}
+        disc = plt.Circle(
+            -root @ g, np.sqrt(room - x), facecolor="none" if kept else "#dddddd", **edge
+        )
+        right.add_patch(disc).set_zorder(2 + kept)
+right.autoscale_view()
+right.set(
+    aspect="equal",
+    xticks=[-0.08, -0.04, 0, 0.04, 0.08],
+    xlabel="what earlier steps can add (units of $\\rho$)",
+)
+right.set_title(f"Step {at}: a disc in a disc may go")
+plt.show()
+
+# %% [markdown]
+# What is proved? The root bound by three lines of arithmetic; that nothing lies between it and the
+# optimum, by the search, whose word you can repeat but not check at a glance (notebook 3).
+#
+# ## The sheet
+#
+# **Symbols.**
+#
+# | | |
+# |---|---|
+# | $H$, $W$, $n$, $p$ | steps; models; numbers in a state, in a perception input |
+# | $A$, $B$, $C$, $Q$, $R$ | $x_{t+1} = Ax_t + Bu_t + Cs_t$, $J = \sum x^\top Qx + u^\top Ru$ |
+# | $s$, $\hat s$, $e = \hat s - s$ | perception input, its estimate, its error |
+# | $\mu_{tw}$, $V_{tw}$, $\kappa_w$ | mean and covariance of model $w$'s error at step $t$; its price |
+# | $c$, $\mu_c$ | a schedule: the model of each step; its mean errors |
+# | $\Psi$ | errors cost $e^\top \Psi e$; $(pH, pH)$ |
+# | $\ell_{tw}$ | $\mathrm{tr}(\Psi_{tt} V_{tw}) + \kappa_w$ (weights $\alpha$, $\beta$ left out) |
+#
+# **The objective.** $\mathrm{total}(c) = \mu_c^\top \Psi \mu_c + \sum_t \ell_{t,c_t}$: means couple
+# steps, variances do not. Independence across steps is assumed.
+#
+# **Five patterns, one formula.** $e^\top \Psi e = \sum_t |\mathrm{row}_t|^2$, $\mathrm{row}_t =
+# G_t^{-1} B^\top (P_{t+1}(A m_t + C e_t) + q_{t+1})$; $C e_t$ where "now" says yes; foresight $q_t
+# = (A - BK_t)^\top (P_{t+1} C e_t + q_{t+1})$, else $q = 0$; $m_t$ is the error of the state that
+# the controller believes.
+#
+# | pattern | memory | now | foresight | $\Psi$ |
+# |---|---|---|---|---|
+# | `open_loop` | $m_{t+1} = Am_t + Ce_t$ | yes | yes | dense |
+# | `preview` | 0 | yes | yes | dense |
+# | `causal` | 0 | yes | no | block diagonal |
+# | `measurement` | $Ce_t$ | no | no | block diagonal |
+# | `filter` | $(I - \Gamma C^+) A m_{t-1} + \Gamma e_t$ | no | no | dense |
+#
+# **Which pattern is my robot?**
+#
+# 1. Models measure the *state* (position from a picture). Fed back as it is: `measurement`;
+#    through an observer of gains $\Gamma$: `filter`.
+# 2. Models estimate an *input* (wind, waves, load) of this step only: `causal`.
+# 3. They forecast it, once. The controller looks at its true state on the way: `preview`; it
+#    never looks: `open_loop`.
+# 4. They forecast it anew at every step (MPC): steps decouple, as in `causal` (notebook 1).
+#
+# Block diagonal: take the cheapest model of each step. Dense: search.
+#
+# **The certificate.** For every $d$, with $G_{tw} = 2\mu_{tw}^\top (\Psi d)_t + \ell_{tw}$ and
+# $r_{tw} = G_{tw} - \min_v G_{tv}$,
+#
+# $$\mathrm{total}(c) = \Big[\sum_t \min_w G_{tw} - d^\top \Psi d\Big] + \sum_t r_{t,c_t}
+# + (\mu_c - d)^\top \Psi (\mu_c - d).$$
+#
+# The bracket is a bound. With a schedule at cost $U$ in hand, $\Delta = U - [\cdot]$ is the room: a
+# model with $r_{tw} > \Delta$ is out, and so is a label $j$ for which a label $i$ has $x_i + 2\rho
+# \sqrt{\Delta - x_j} + \rho^2 \le x_j$.
+#
+# **In one paragraph.** A backward sweep gives the controller, one formula its sensitivity to wrong
+# beliefs, any reference point a bound, and a search from the last step fills the room above it.
+# Next: where $\Psi$ comes from.
+#
+# ## Recall
+#
+# <details><summary>A bug in `reference` returns a poor d. Which results are wrong?</summary>
+#
+# None. The bound is lower, the room larger, the search slower.
+#
+# </details>
+# <details><summary>Why does a label keep a costate, and not the errors chosen so far?</summary>
+#
+# Earlier steps feel those only through $g$: $n$ numbers, whatever $H$.
+#
+# </details>
+# <details><summary>For which patterns is the search superfluous, and why?</summary>
+#
+# `causal` and `measurement`: no errors of two steps meet, so each step's cheapest model is right.
+#
+# </details>
+#
+# ## Exercises
+#
+# ### Exercise 1: a state that comes late
+#
+# A robot learns its state one step late: at step $t$ it knows $x_{t-1}$, believes $\hat x_t =
+# Ax_{t-1} + Bu_{t-1} + C\hat s_{t-1}$, uses $\hat s_t$, and expects nothing later. ($x_0$ is
+# known.) First predict: errors of which two steps meet? Then write its row `late` of `PATTERNS`,
+# and `meets(t, k)`, whether $\Psi_{tk}$ may differ from 0.
+
+
+# %% tags=["exercise"]
+late = ...
+
+
+def meets(t, k):
+    """Return whether errors of steps t and k meet."""
+    ...
+
+
+# %% tags=["check", "skip-execution"]
+assert late is not ..., "Exercise 1: set late = (memory, told, foresight)"
+PATTERNS["late"] = late
+found = sensitivity(A, B, C, Q, R, 6, "late")
+steps, rng = riccati(A, B, Q, R, 6), np.random.default_rng(0)
+for e in rng.normal(size=(20, 6)):
+    x, believed, J = np.zeros(2), np.zeros(2), 0.0
+    for t, (P, S, _) in enumerate(steps):
+        u = -solve(S, B.T @ P @ (A @ believed + C[:, 0] * e[t]))
+        believed = A @ x + B @ u + C[:, 0] * e[t]  # of the next state: from x, one step late
+        x = A @ x + B @ u
+        J += x @ Q @ x + u @ R @ u
+    assert np.isclose(e @ found @ e, J), (
+        f"Exercise 1: errors {e.round(1)} cost {J:.4f} in a simulation, by your row "
+        f"{e @ found @ e:.4f}; what is wrong about the believed state: this step's e, or the last?"
+    )
+other = (rng.normal(size=(3, k)) for k in (3, 1, 1))
+met = abs(sensitivity(*other, np.eye(3), one, 6, "late")) > 1e-12
+answer = [[bool(meets(t, k)) for k in range(6)] for t in range(6)]
+assert (met == answer).all(), (
+    f"Exercise 1: on a random robot these meet: {met.astype(int).tolist()}"
+)
+print("Exercise 1: right")
+
+# %% [markdown]
+# ### Exercise 2: what a narrow search still proves
+#
+# A search that keeps `width` labels a step drops some that might have become the optimum. Yet no
+# completion of a label costs less than bound plus extra. Write `narrow`, which returns the labels
+# left and the least extra of those dropped *for lack of width* (infinity if none were). Then the
+# optimum is at least bound + min(both). Use `search` and its log, in which the labels of a step
+# stand from the cheapest to the dearest.
+
+
+# %% tags=["exercise"]
+def narrow(A, B, C, Q, R, mean, d, reduced, room, width):
+    """Return the labels left at step 0 and the least extra dropped for lack of width."""
+    ...
+
+
+# %% tags=["check", "skip-execution"]
+for seed, width in [(s, w) for s in range(3) for w in (1, 3, 10, np.inf)]:
+    errors = np.random.default_rng(seed).choice([-1, 1], (20, 3)) * size
+    Psi20 = sensitivity(A, B, C, Q, R, 20, "preview")
+    _, optimum, low, point, space, _ = schedule(A, B, C, Q, R, errors, linear[:20])
+    space *= 1.5
+    above = certificate(Psi20, errors, linear[:20], point)[1]
+    given = (A, B, C, Q, R, errors, point, above, space, width)
+    answer, (labels, story) = narrow(*given), search(*given)
+    assert answer is not None and len(answer) == 2, "Exercise 2: return the labels and a number"
+    left_over, least = answer
+    assert [x[2] for x in left_over] == [x[2] for x in labels], "Exercise 2: other labels are left"
+    proved = low + min([least] + [x[0] for x in left_over])
+    assert proved <= optimum * (1 + 1e-8), (
+        f"Exercise 2: width {width}: you prove {proved:.5f}, but {optimum:.5f} is possible"
+    )
+    full = {t: sum(k for s, _, k in story if s == t) == width for t in range(20)}
+    lost = [x for t, (x, *_), k in story if full[t] and not k and x <= space]
+    last = {t: max(x for s, (x, *_), k in story if s == t and k) for t in full if full[t]}
+    cut = [x for t, (x, *_), k in story if full[t] and not k and last[t] <= x <= space]
+    assert (least < np.inf) == bool(cut), "Exercise 2: infinity exactly if width dropped no label"
+    assert not cut or least >= min(cut) * (1 - 1e-12), (
+        "Exercise 2: you count labels that were dominated before the step was full"
+    )
+print("Exercise 2: right")
+
+# %% [markdown]
+# ### Exercise 3 (open): make it work hard
+#
+# The cart, 20 steps: with the models above the search keeps at most some 20 labels a step.
+# Predict what makes it keep more: larger errors? closer prices? errors that differ from step to
+# step? Then build `hard()`: `mean` and `linear`, up to three models, for which more than 100
+# labels live at some step, and say in a sentence why.
+
+
+# %% tags=["exercise"]
+def hard():
+    """Return mean (20, W), linear (20, W) and a sentence that says why this is hard."""
+    ...
+
+
+# %% tags=["check", "skip-execution"]
+answer = hard()
+assert answer is not None and len(answer) == 3, "Exercise 3: return mean, linear and a sentence"
+errors, fees, why = answer
+assert np.shape(errors) == np.shape(fees) and np.shape(errors)[0] == 20, "Exercise 3: (20, W), both"
+assert np.shape(errors)[1] <= 3, "Exercise 3: at most three models"
+story = schedule(A, B, C, Q, R, errors, fees)[-1]
+most = max(sum(k for s, _, k in story if s == t) for t in range(20))
+assert most > 100, f"Exercise 3: at most {most} labels live at a step"
+assert len(why.split()) >= 8, "Exercise 3: explain it in a sentence"
+print("Exercise 3: right")
