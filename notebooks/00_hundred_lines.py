@@ -257,11 +257,13 @@ plt.show()
 # What is proved? The root bound by three lines of arithmetic; that nothing lies between it and the
 # optimum, by the search, whose word you can repeat but not check at a glance (notebook 3).
 #
+# **In one paragraph.** A backward sweep gives the controller, one formula its sensitivity to wrong
+# beliefs, any reference point a bound, and a search from the last step fills the room above it.
+# Next: where $\Psi$ comes from.
+#
 # ## The sheet
 #
-# **Symbols.**
-#
-# | | |
+# | symbol | meaning |
 # |---|---|
 # | $H$, $W$, $n$, $p$ | steps; models; numbers in a state, in a perception input |
 # | $A$, $B$, $C$, $Q$, $R$ | $x_{t+1} = Ax_t + Bu_t + Cs_t$, $J = \sum x^\top Qx + u^\top Ru$ |
@@ -307,10 +309,6 @@ plt.show()
 # The bracket is a bound. With a schedule at cost $U$ in hand, $\Delta = U - [\cdot]$ is the room: a
 # model with $r_{tw} > \Delta$ is out, and so is a label $j$ for which a label $i$ has $x_i + 2\rho
 # \sqrt{\Delta - x_j} + \rho^2 \le x_j$.
-#
-# **In one paragraph.** A backward sweep gives the controller, one formula its sensitivity to wrong
-# beliefs, any reference point a bound, and a search from the last step fills the room above it.
-# Next: where $\Psi$ comes from.
 #
 # ## Recall
 #
