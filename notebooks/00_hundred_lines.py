@@ -52,7 +52,7 @@ PATTERNS = {  # error m_t of the believed state, from z = A m_{t-1}; e_t in u_t?
     "preview": (lambda z, before, now, gain: 0 * z, 1, 1),
     "causal": (lambda z, before, now, gain: 0 * z, 1, 0),
     "measurement": (lambda z, before, now, gain: now, 0, 0),
-    "filter": (lambda z, before, now, gain: z + gain @ (now - z), 0, 0),
+    "filter": (lambda z, before, now, gain: z + gain @ (now - z), 0, 0),  # C of full column rank
 }
 
 
@@ -257,14 +257,17 @@ plt.show()
 # What is proved? The root bound by three lines of arithmetic; that nothing lies between it and the
 # optimum, by the search, whose word you can repeat but not check at a glance (notebook 3).
 #
+# **In one paragraph.** A backward sweep gives the controller, one formula its sensitivity to wrong
+# beliefs, any reference point a bound, and a search from the last step fills the room above it.
+# Next: where $\Psi$ comes from.
+#
 # ## The sheet
 #
-# **Symbols.**
-#
-# | | |
+# | symbol | meaning |
 # |---|---|
 # | $H$, $W$, $n$, $p$ | steps; models; numbers in a state, in a perception input |
 # | $A$, $B$, $C$, $Q$, $R$ | $x_{t+1} = Ax_t + Bu_t + Cs_t$, $J = \sum x^\top Qx + u^\top Ru$ |
+# | $P_t$, $S_t = G_t G_t^\top$, $K_t$ | cost-to-go; $R + B^\top P_{t+1} B$; the controller's gain |
 # | $s$, $\hat s$, $e = \hat s - s$ | perception input, its estimate, its error |
 # | $\mu_{tw}$, $V_{tw}$, $\kappa_w$ | mean and covariance of model $w$'s error at step $t$; its price |
 # | $c$, $\mu_c$ | a schedule: the model of each step; its mean errors |
@@ -306,11 +309,8 @@ plt.show()
 #
 # The bracket is a bound. With a schedule at cost $U$ in hand, $\Delta = U - [\cdot]$ is the room: a
 # model with $r_{tw} > \Delta$ is out, and so is a label $j$ for which a label $i$ has $x_i + 2\rho
-# \sqrt{\Delta - x_j} + \rho^2 \le x_j$.
-#
-# **In one paragraph.** A backward sweep gives the controller, one formula its sensitivity to wrong
-# beliefs, any reference point a bound, and a search from the last step fills the room above it.
-# Next: where $\Psi$ comes from.
+# \sqrt{\Delta - x_j} + \rho^2 \le x_j$. ($x$: what a label costs above the bound; $\rho$: the
+# distance of two costates, as earlier steps feel it.)
 #
 # ## Recall
 #

@@ -324,7 +324,9 @@ summary { cursor: pointer; margin: 0.5rem 0; color: var(--link); }
   header, footer, .skip, .code { display: none; }
   #the-sheet, #recall { break-before: page; }
   main { max-width: none; }
-  body { font-size: 11pt; }
+  body { font-size: 10pt; line-height: 1.35; }
+  h2 { margin-top: 1em; }
+  th, td { padding: 0.1rem 0.5rem; }
   pre { white-space: pre-wrap; }
   .output_png, tr { break-inside: avoid; }
   h2, h3 { break-after: avoid; }
