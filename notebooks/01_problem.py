@@ -145,6 +145,9 @@ for looks in (False, True):
 # | `measurement` | $C e_t$: it sees $x_t + C e_t$ | no | no | a drone reads its altitude off a picture |
 # | `filter` | what an observer remembers | no | no | most robots (notebook 7) |
 #
+# (In the last two rows models measure states: $e$ is the error of what they measure, $C$ says which
+# components, and $s$ pushes unseen.)
+#
 # On the two steps ($P_2 = 1$, $S_1 = 2$, $A - BK_1 = P_1 = \frac12$, $S_0 = \frac32$) `preview` pays
 # $\frac12 e_1^2 + \frac23 (\frac12 e_0 + \frac12 e_1)^2$, which is $\frac12$ for $(1, -1)$;
 # `open_loop` remembers $m_1 = e_0$ and pays $\frac12 (e_0 + e_1)^2 + \frac16 (e_0 + e_1)^2$;

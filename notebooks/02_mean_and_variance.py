@@ -223,9 +223,10 @@ for c in (np.zeros(8, dtype=int), ms.solve(believed).choices):
 # %% [markdown]
 # The biases are independent, so half of the time their signs agree. What *is* true: with $\mathbf
 # 1_w$ marking the steps that run model $w$, the cost is $\sum_w \tau_w^2\, \mathbf 1_w^\top \Psi
-# \mathbf 1_w$. Two halves cost half of the whole: a **portfolio**. The optimum mixes models, more
-# often the steadier ones, even if one of them is best alone. `correlated_problem` makes this a
-# selection problem of its own, with one component a model, and `solve` proves it:
+# \mathbf 1_w$. Where all errors meet alike, two halves cost half of the whole: a **portfolio**. Then
+# it can pay to mix models, even if one of them is best alone. Where errors of different steps do not
+# meet (`causal`), or one model is far steadier, the steadiest runs alone. `correlated_problem` makes
+# this a selection problem of its own, with one component a model, and `solve` proves it:
 
 # %%
 H, tau = 12, np.array([0.7, 1.0, 1.2])
@@ -243,6 +244,10 @@ schedules = {
 paid = {name: ms.correlated_cost(free, c, covariance) for name, (c, _) in schedules.items()}
 assert portfolio.is_optimal and np.isclose(portfolio.cost, paid["portfolio"])
 assert portfolio.cost < 0.6 * paid["as if independent"]
+apart = replace(free, psi=ms.psi(line(H), "causal"))  # errors never meet
+assert not any(ms.solve(ms.correlated_problem(apart, covariance)).choices)
+steady = ms.persistent_bias(np.array([0.1, 1, 1.2]) ** 2, quiet)
+assert not any(ms.solve(ms.correlated_problem(free, steady)).choices)
 
 # %% alt="Left, predicted and true costs of three schedules: as if independent, 39 predicted and 317 true; as if known, 4 and 222; the portfolio, 176 and 176. Right, the models they run: the first runs the steadiest model only; the second all three in turn; the portfolio the steadiest at seven steps, the next at three, the least steady at two." tags=["hide-input"]
 figure, (left, right) = plt.subplots(1, 2, figsize=(13, 4.4), width_ratios=[3, 4])
@@ -297,7 +302,7 @@ for information in ("open_loop", "preview", "causal"):
 # **In one paragraph.** A controller feels the mean of the errors through all of $\Psi$, and their
 # covariance within a step through its diagonal blocks. A bias costs up to $H$ times what its square
 # says, or nothing. So mean squares mislead, and choosing step by step can be wrong wherever means
-# meet. Errors that persist meet like a bias, but of unknown sign: they ask for a portfolio. Next:
+# meet. Errors that persist meet like a bias, but of unknown sign: they may ask for a portfolio. Next:
 # how to find the best of $W^H$ schedules, with a proof.
 #
 # ## Recall
