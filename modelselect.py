@@ -413,11 +413,8 @@ def relax_interior_point(
             raise ValueError("allowed: expected an available model in every row, found none")
     gap = check_number("gap", gap, minimum=0)
     ceiling = float(check_array("ceiling", ceiling, "", (), finite=False))
-    time_left, iterations = (
-        _stopwatch(problem, time_limit),
-        check_count("max_iterations", max_iterations),
-    )
-    return _relax(problem, usable, gap, ceiling, time_left, iterations)
+    time_left, most = _stopwatch(problem, time_limit), check_count("max_iterations", max_iterations)
+    return _relax(problem, usable, gap, ceiling, time_left, most)
 
 
 def relax_by_columns(

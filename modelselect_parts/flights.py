@@ -125,8 +125,8 @@ def fit_landing(
     check_class("landing", landing, "Aircraft")
     check_class("measured", measured, "Residuals")
     h = landing.path[:-1]
-    with warnings.catch_warnings():  # of pictures taken beyond a short way
-        warnings.simplefilter("ignore")
+    with warnings.catch_warnings():  # pictures are taken from further than a short way leads
+        warnings.filterwarnings("ignore", "fit_suite: .* residuals count along this trajectory")
         suite = fit_suite(measured, h, cost, bins=altitude_bins(measured.altitude, h, bins))
     return guard_suite(suite) if guard else suite
 

@@ -235,7 +235,7 @@ def search(
     smaller, so no model that it needs was ruled out, and `losses` is given the same `least`.
 
     The `margin` is what the budget exceeds the excess of every schedule by that disregards the
-    limit, and twice the losses: L(lam) of passes.py, where it is known.
+    limit, twice the losses and what the certificate took off: L(lam) of passes.py, where known.
     """
     H, dropped = len(steps), math.inf
     ahead = ahead or Ahead(np.zeros(H), H, np.zeros(H))

@@ -8,13 +8,12 @@ that those cost; a better schedule shrinks the budget of labels; bounds of the s
 
     L(lam) = min over all schedules c of total(c) + lam (spent(c) - K),      lam >= 0,
 
-less than any that keeps the limit K.  It is a problem without a limit, and its optimum mixes no
-models, as the relaxation's does: where a mixture promises what no schedule does, L at its best lam
-is far above the relaxation: 2% below the optimum instead of 21% and 50%, for the two hardest
-problems with switching costs and a budget of benchmarks/results/constrained.md.  Every schedule is
-a cut of L from above, a line in lam that rises where it overspends.  L is concave: where a rising
-cut and a falling one meet is the next lam to try (Handler and Zang 1980).  Its use: see
-`Search.move`, and the margin of `label_search.search`.
+and none that keeps the limit K costs less.  This is a problem without a limit.  Its optimum is a
+schedule, where the relaxation's is a mixture of schedules: where mixtures promise what no schedule
+does, L at its best lam lies far above the relaxation.  Every schedule is a cut of L from above, a
+line in lam that rises where it overspends.  L is concave: where a rising cut and a falling one meet
+is the next lam to try (Handler and Zang 1980).  Its use: see `Search.move`, and the margin of
+`label_search.search`.
 """
 
 from __future__ import annotations
@@ -131,7 +130,8 @@ class Search:
             limits = self.choices[::turn], excess, slack, self.expired
             self.ahead = segments.bounds_ahead(triangle, steps, *limits)
         lost = label_search.losses(triangle, steps, self.purse, excess, slack, least)
-        margin = before - self.floor + 2 * lost.total
+        rounding = self.found.taken + 4 * trellis.EPS * (abs(root) + abs(triangle.constant))
+        margin = before - self.floor + 2 * lost.total + rounding
         given = lost, width, self.expired, self.ahead, margin
         found = label_search.search(triangle, steps, self.purse, *given)
         self.labels, self.complete = found.labels[::turn], found.complete

@@ -75,6 +75,9 @@ class Certificate(NamedTuple):
     reduced: Array  #: (H, W), >= 0: every schedule with model w at step t costs so much more
     base: float  #: `bound` = base + cheapest path of `node` and A = `Form.priced`
     node: Array  #: (H, W), G less each step's least
+    taken: (
+        float  #: rounding has put `base` and a path of `node` no lower than this, in exact numbers
+    )
 
 
 # ------------------------------------------------------------------------------ cheapest paths
@@ -191,12 +194,14 @@ def certificate(form: Form, d: Array, multiplier: float = 0.0) -> Certificate:
             common += multiplier * abs(form.limit)
         base = lowest.sum() + constant - unit * (np.abs(d) @ felt + common)
         node = G - lowest[:, None]
+        worst = np.where(np.isfinite(linear), size + np.abs(price), 0).max(axis=1).sum()
+        taken = float(2 * unit * (worst + np.abs(d) @ felt + common))
         if A is None:
-            return Certificate(float(base), node, float(base), node)
+            return Certificate(float(base), node, float(base), node, taken)
         paths = through(node, A)
         least = paths[-1].min()  # a sum of 2H non-negative numbers, each of a few roundings
         bound = base + least * (1 - (2 * len(node) + 8) * EPS) - EPS * abs(base)
-    return Certificate(float(bound), np.maximum(paths - least, 0), float(base), node)
+    return Certificate(float(bound), np.maximum(paths - least, 0), float(base), node, taken)
 
 
 def lacking(form: Form, d: Array) -> Array:

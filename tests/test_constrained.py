@@ -214,6 +214,30 @@ def test_the_dual_of_a_budget_is_a_bound_that_no_price_beats_by_much(seed):
     assert len(tried) == passes.CUTS or max(L) - bound <= 0.1 * (cost[k] - bound) + tiny
 
 
+@given(SEEDS, st.sampled_from([1.0, 1e6, 1e12]))
+def test_the_certificate_takes_no_more_off_than_it_says(seed, size):
+    """In fractions, of errors that cancel: a margin may rest on it from both sides."""
+    rng = np.random.default_rng(seed)
+    H, W = 4, 3
+    g = rng.integers(-9, 10, (H, 2)).astype(float)
+    mean = np.round(size * rng.normal(size=(H, W, 1)))
+    limits = {"switch_cost": rng.random((W, W)) * (1 - np.eye(W)), "budget": 99.0}
+    problem = SelectionProblem(g @ g.T, mean, 0 * mean, rng.random((H, W)), **limits)
+    d, lam = size * rng.normal(size=H), float(rng.random())
+    found, form = trellis.certificate(problem.form, d, lam), problem.form
+    K, A = Fraction(form.limit), form.priced(lam)
+    for c in schedules_of(problem)[::7]:
+        moves = list(itertools.pairwise(c.tolist()))
+        spent = sum(Fraction(form.price[t, w]) for t, w in enumerate(c))
+        spent += sum(Fraction(form.toll[v, w]) for v, w in moves)
+        e = [Fraction(x) - Fraction(y) for x, y in zip(mean[range(H), c, 0], d, strict=True)]
+        quadratic = sum(Fraction(form.M[i, j]) * e[i] * e[j] for i in range(H) for j in range(H))
+        total = problem.exact_cost(c) + Fraction(lam) * (spent - K)
+        path = sum(Fraction(found.node[t, w]) for t, w in enumerate(c))
+        path += sum(Fraction(A[v, w]) for v, w in moves)
+        assert 0 <= total - Fraction(found.base) - path - quadratic <= Fraction(found.taken)
+
+
 @given(SEEDS, st.integers(0, 2), st.integers(1, 60))
 def test_labels_that_a_margin_drops_lead_to_no_schedule_within_the_budget(seed, r, labels):
     # With completions |v + y|^2 + c, each label's least excess is known; none is below the floor.

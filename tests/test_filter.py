@@ -290,7 +290,8 @@ def test_a_push_of_mean_zero_is_not_taken_for_the_state(horizon, scale, seed):
     s = scale * rng.normal(size=(2, horizon, 1))
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        run_controller(cart(horizon), rng.normal(size=2), s, s, "measurement")
+        states, _ = run_controller(cart(horizon), rng.normal(size=2), s, s, "measurement")
+    assert states.shape == (2, horizon + 1, 2) and np.isfinite(states).all()
 
 
 # ----------------------------------------------------------------------------------- end to end
