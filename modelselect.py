@@ -109,7 +109,7 @@ from modelselect_parts.descent import (
     projected_gradient,
     step_lengths,
 )
-from modelselect_parts.error_costs import ErrorCost, error_cost
+from modelselect_parts.error_costs import ErrorCost, error_cost, is_separable
 from modelselect_parts.hardness import maximum_cut_problem, partition_problem
 from modelselect_parts.held import expand_choices, hold
 from modelselect_parts.interior_point import congruence, interior_point
@@ -118,9 +118,6 @@ from modelselect_parts.observers import kalman_gains
 from modelselect_parts.problem import (
     EXACT_BELOW,
     SelectionProblem,
-    from_one_hot,
-    is_separable,
-    one_hot,
     stepwise_cost,
 )
 from modelselect_parts.regulator import (
@@ -137,7 +134,7 @@ from modelselect_parts.regulator import (
     riccati,
     run_controller,
 )
-from modelselect_parts.schedule import OPTIMALITY_GAP, Schedule
+from modelselect_parts.schedule import OPTIMALITY_GAP, Schedule, from_one_hot, one_hot
 from modelselect_parts.semidefinite import semidefinite_root
 from modelselect_parts.sensitivity import Sensitivity, sensitivity
 

@@ -77,6 +77,7 @@ from modelselect_parts.checks import (
     shown,
 )
 from modelselect_parts.checks import Choices as Indices
+from modelselect_parts.kernels import Kernel
 from modelselect_parts.matrices import check_semidefinite
 from modelselect_parts.measurements import (
     PathLike,
@@ -95,7 +96,6 @@ from modelselect_parts.networks import (
     train_network,
 )
 from modelselect_parts.residuals import (
-    Kernel,
     altitude_bins,
     bootstrap_errors,
     fit_suite,

@@ -33,6 +33,7 @@ passes            the exact search pass by pass; the price of a budget
 blends            paper V: Problem 4
 suites            how models err, step by step; dropouts, latency
 measurements      measured errors in memory and in files
+kernels           residuals weighed by how near they were made
 residuals         what to expect of them: fitted, guarded, drawn from
 camera            pictures of a helipad
 networks          small networks and how they learn

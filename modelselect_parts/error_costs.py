@@ -1,4 +1,4 @@
-"""What errors cost a controller, of models that run at every step."""
+"""What errors cost a controller, of models that run at every step; whether steps couple."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import numpy as np
 
 from modelselect_parts.checks import Array, check_class
 from modelselect_parts.problem import SelectionProblem
+from modelselect_parts.sensitivity import Sensitivity
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,3 +45,14 @@ def error_cost(problem: SelectionProblem) -> ErrorCost:
     if not np.isfinite([mean_square, own, bias]).all():
         raise ValueError("problem: the error cost overflows; rescale psi or the mean errors")
     return ErrorCost(mean_square, own + noise, bias, noise)
+
+
+def is_separable(problem: SelectionProblem) -> bool:
+    """Whether steps meet neither through Psi nor through switching costs or a budget."""
+    check_class("problem", problem, "SelectionProblem")
+    H, _, p = problem.mean.shape
+    felt = (problem.mean != 0).any(axis=1).ravel() & (problem.alpha != 0)
+    if isinstance(problem.psi, Sensitivity):
+        return problem.form.bare and not (felt.any() and problem.psi.coupled)
+    meets = ((problem.psi != 0) & felt[:, None] & felt).reshape(H, p, H, p).any(axis=(1, 3))
+    return problem.form.bare and not (meets & ~np.eye(H, dtype=bool)).any()

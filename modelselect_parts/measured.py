@@ -11,16 +11,17 @@ from __future__ import annotations
 import pathlib
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 import modelselect as ms
 from modelselect_parts.checks import Array, Choices, check_class
 from modelselect_parts.flights import Aircraft, estimate
+from modelselect_parts.kernels import Kernel
 from modelselect_parts.measurements import Residuals, read_residuals, rows_of
 from modelselect_parts.regulator import PATTERNS, roll_out
-from modelselect_parts.residuals import Kernel, fit_suite
+from modelselect_parts.residuals import fit_suite
 from modelselect_parts.suites import PerceptionSuite, with_dropouts
 
 Rng = np.random.Generator
@@ -95,16 +96,6 @@ def draw(sights: Sights, altitude: Array, rng: Rng) -> Array:
     return np.where(np.isnan(errors), prior, errors)
 
 
-def schedules(problem: Any) -> dict[str, Choices]:
-    """Return the schedules (H,) of Optimal, Best Single and Greedy."""
-    H, W, _ = problem.mean.shape
-    constant = np.repeat(np.arange(W)[:, None], H, axis=1)
-    alone = ms.stepwise_cost(problem)
-    best = constant[problem.total_cost(constant).argmin()]
-    optimal = ms.solve(problem, time_limit=60).choices
-    return {"Optimal": optimal, "Best Single": best, "Greedy": alone.argmin(axis=1)}
-
-
 def regret(
     landing: Aircraft,
     information: str,
@@ -153,30 +144,3 @@ def leads(totals: Mapping[str, Array]) -> dict[str, tuple[float, float]]:
             saved, half = estimate(total - totals["Optimal"])[0]
             found[policy] = saved / total.mean(), half / total.mean()
     return found
-
-
-def filter_gains(landing: Aircraft, suite: PerceptionSuite, gust: float) -> Array:
-    """Return gains of a Kalman filter that takes the models' median variance, and gusts, for noise.
-
-    Gusts displace the altitude by `gust` a step; a little of it pushes every other state.
-    """
-    C = landing.task.C
-    push = gust**2 * (C @ C.T + 1e-4 * np.eye(len(C)))
-    noise = float(np.median(suite.variance + suite.mean**2))
-    return ms.kalman_gains(landing.task, push, [[noise]])
-
-
-def one_to_one(Psi: Array, suite: PerceptionSuite) -> float:
-    """Return the weight beta at which looking costs as much as erring.
-
-    Of the constant schedules: the mean of what they pay, the median of what their errors cost.
-    """
-    problem = ms.SelectionProblem.from_suite(Psi, replace(suite, cost=_finite(suite.cost)))
-    H, W, _ = problem.mean.shape
-    constant = np.repeat(np.arange(W)[:, None], H, axis=1)
-    paid, lost = problem.perception_term(constant), problem.control_term(constant)
-    return float(np.median(lost) / paid.mean())
-
-
-def _finite(cost: Array) -> Array:
-    return np.broadcast_to(np.min(cost, axis=0), cost.shape) if cost.ndim == 2 else cost

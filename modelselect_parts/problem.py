@@ -37,21 +37,6 @@ EXACT_SIZE = 100
 LONG = 1000  # errors pH beyond which a linear system is not written out as a matrix
 
 
-def one_hot(choices: npt.ArrayLike, models: int) -> Array:
-    """Encode `choices` (H,) of W `models` as b (H, W): 1 where w = w_t (``eq:perEncoding``)."""
-    W = check_count("models", models)
-    c = check_choices(check_array("choices", choices, "H", (None,)), None, W)
-    return np.where(c[:, None] == np.arange(W), 1.0, 0.0)
-
-
-def from_one_hot(weights: npt.ArrayLike) -> Choices:
-    """Decode `weights` b (H, W), a single 1 in every row, into c (H,): the inverse of `one_hot`."""
-    b = check_array("weights", weights, "H W", (None, None))
-    if not ((b == 0) | (b == 1)).all() or (b.sum(axis=1) != 1).any():
-        raise ValueError("weights: expected a single 1 and otherwise 0 in every row")
-    return np.asarray(b.argmax(axis=1))
-
-
 class Suite(Protocol):
     """What `SelectionProblem.from_suite` takes: a `PerceptionSuite`, or alike."""
 
@@ -410,14 +395,3 @@ def stepwise_cost(problem: SelectionProblem) -> Array:
     weighed = problem.alpha * problem.blocks
     own = np.einsum("twi,tij,twj->tw", problem.mean, weighed, problem.mean)
     return np.asarray(own + problem.linear)
-
-
-def is_separable(problem: SelectionProblem) -> bool:
-    """Whether steps meet neither through Psi nor through switching costs or a budget."""
-    check_class("problem", problem, "SelectionProblem")
-    H, _, p = problem.mean.shape
-    felt = (problem.mean != 0).any(axis=1).ravel() & (problem.alpha != 0)
-    if isinstance(problem.psi, Sensitivity):
-        return problem.form.bare and not (felt.any() and problem.psi.coupled)
-    meets = ((problem.psi != 0) & felt[:, None] & felt).reshape(H, p, H, p).any(axis=(1, 3))
-    return problem.form.bare and not (meets & ~np.eye(H, dtype=bool)).any()

@@ -8,8 +8,8 @@ each residual counts by how near it was: a `Kernel`.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -18,54 +18,34 @@ from scipy.special import chdtri, stdtrit
 
 from modelselect_parts.checks import (
     Array,
-    Frozen,
     Mask,
     as_numbers,
     check_array,
     check_class,
     check_count,
-    check_name,
     check_number,
     check_range,
     check_rng,
-    shown,
 )
 from modelselect_parts.checks import Choices as Indices
+from modelselect_parts.kernels import (
+    Axes,
+    Kernel,
+    Path,
+    along,
+    check_path,
+    errors_of,
+    kernel_moments,
+    near,
+    path_of,
+    relate,
+    scale,
+    weights,
+)
 from modelselect_parts.measurements import Residuals, as_residuals, rows_of
-from modelselect_parts.suites import LARGEST, PerceptionSuite, Rng, check_names, priced
-
-Path = ArrayLike | Mapping[str, ArrayLike]  #: one operating variable, or several by name
-Axes = dict[str, tuple[Array, Array]]  #: by variable: where residuals were made, and the path
-
+from modelselect_parts.suites import LARGEST, PerceptionSuite, Rng, priced
 
 # ------------------------------------------------------------------------- what to expect, and draw
-
-
-@dataclass(frozen=True)
-class Kernel(Frozen):
-    """How near a residual must have been made to count: Nadaraya-Watson, with normal weights.
-
-    Each variable is measured in standard deviations of its own over all residuals, those named in
-    `log` after taking the logarithm.  At distance d a residual counts k(d) = exp(-d^2/(2 width^2)).
-    If errors grow in proportion to a variable such as the distance, `relative` is its name: what is
-    averaged is then residual / variable, times the variable on the way.
-
-    A wide kernel mixes what differs: a mean that changes by b within a width is off by up to about
-    b (at the ends of the data), and adds b^2 to the variance.
-    """
-
-    width: float = 0.3  #: > 0, in standard deviations
-    log: Sequence[str] = ()
-    relative: str | None = None
-
-    def __post_init__(self) -> None:
-        if not (width := check_number("width", self.width)) > 0:
-            raise ValueError(f"width: expected a number > 0, found {width:g}")
-        empty = isinstance(self.log, list | tuple) and not self.log
-        log = () if empty else check_names("log", self.log)
-        if self.relative is not None:
-            check_names("relative", [self.relative])
-        self._set(width=width, log=log)
 
 
 def fit_suite(
@@ -108,13 +88,13 @@ def fit_suite(
     price, seen = _prices(table, cost), _seen(table)
     if kernel is not None:
         check_class("kernel", kernel, "Kernel")
-    axes, everywhere = _along(seen, trajectory), _along(table, trajectory)
+    axes, everywhere = along(seen, trajectory), along(table, trajectory)
     if kernel is None:
         mean, S, n, used = _bin_moments(seen, axes, bins)
         rate = _bin_rate(table, everywhere, bins)
     else:
-        mean, S, n, rate = _kernel_moments(table, everywhere, kernel)
-        price, used = np.where(rate == 1, np.inf, price), _near(axes, kernel)
+        mean, S, n, rate = kernel_moments(table, everywhere, kernel)
+        price, used = np.where(rate == 1, np.inf, price), near(axes, kernel)
     S = _with_resolution(seen, mean, S)
     v = np.einsum("twii->twi", S)
     _report(seen, mean, v, axes, used)
@@ -139,16 +119,16 @@ def bootstrap_errors(
     one residual together.  Their mean is that of the suite, their variance (n - 1) / n of its own.
     """
     residuals = _seen(as_residuals(residuals))
-    axes, N = _along(residuals, trajectory), check_count("trials", trials)
-    r = _errors(residuals)
+    axes, N = along(residuals, trajectory), check_count("trials", trials)
+    r = errors_of(residuals)
     if kernel is not None:
         check_class("kernel", kernel, "Kernel")
-        r, weighed = _relate(r, axes, kernel), _weights(residuals, axes, kernel)
-        H, W = len(_path_of(axes)), len(residuals.names)
+        r, weighed = relate(r, axes, kernel), weights(residuals, axes, kernel)
+        H, W = len(path_of(axes)), len(residuals.names)
         drawn = np.empty((N, H, W, r.shape[1]))
         for t, w, rows, k in weighed:
             drawn[:, t, w] = r[check_rng(rng).choice(rows, N, p=k / k.sum())]
-        return drawn * _scale(axes, kernel)
+        return drawn * scale(axes, kernel)
     cell, visited, n = _sort_into_bins(residuals, axes, bins)
     first = np.cumsum(n).reshape(n.shape) - n  # where each cell starts, once they are in order
     shape = (N, len(visited), len(residuals.names))
@@ -189,7 +169,7 @@ def altitude_bins(altitude: ArrayLike, trajectory: ArrayLike, count: int) -> Arr
 
     Of the `altitude` (N,) of residuals, those beyond the `trajectory` (H,) do not count.
     """
-    h = _check_path(trajectory, None)
+    h = check_path(trajectory, None)
     near = check_array("altitude", altitude, "N", (None,))
     near, bins = near[(near > h.min()) & (near < h.max())], check_count("count", count)
     if len(near) < bins:
@@ -267,43 +247,6 @@ def _digits(number: float) -> str:
     return short if float(short) == number else repr(float(number))
 
 
-def _errors(residuals: Residuals) -> Array:
-    """Return the residuals as (N, p)."""
-    check_range("residuals", abs(residuals.residual), LARGEST)
-    return residuals.residual.reshape(len(residuals.model), -1)
-
-
-def _along(residuals: Residuals, trajectory: Path) -> Axes:
-    """Return, for each variable of the trajectory, where residuals were made (N,) and it (H,)."""
-    names = residuals.variables
-    columns = dict(zip(names, residuals.altitude.reshape(-1, len(names)).T, strict=True))
-    if not isinstance(trajectory, Mapping):
-        if len(names) > 1:
-            wanted = f"a dictionary from some of {', '.join(names)} to arrays"
-            raise ValueError(f"trajectory: expected {wanted}, found {shown(trajectory)}")
-        trajectory = {names[0]: trajectory}
-    if not trajectory:
-        raise ValueError(f"trajectory: expected some of {', '.join(names)}, found none")
-    axes: Axes = {}
-    for name, path in trajectory.items():
-        check_name("trajectory", name, names)
-        H = len(_path_of(axes)) if axes else None
-        axes[name] = columns[name], _check_path(path, H)
-    return axes
-
-
-def _path_of(axes: Axes) -> Array:
-    """Return the path (H,) of the first variable."""
-    return next(iter(axes.values()))[1]
-
-
-def _check_path(trajectory: ArrayLike, H: int | None) -> Array:
-    """Return a trajectory (H,) of one variable."""
-    h = check_array("trajectory", trajectory, "H", (H,))
-    check_range("trajectory", abs(h), LARGEST)
-    return h
-
-
 # ------------------------------------------------------------------------------------------- bins
 
 
@@ -312,7 +255,7 @@ def _bin_moments(
 ) -> tuple[Array, Array, Array, Mask]:
     """Mean (H, W, p), covariance (H, W, p, p), number (H, W) in the bins; who is in one, (N,)."""
     cell, visited, n = _sort_into_bins(residuals, axes, bins)
-    r, W = _errors(residuals), len(residuals.names)
+    r, W = errors_of(residuals), len(residuals.names)
     # The maxima keep cells with 0 or 1 residuals finite, which no step visits.
     total = np.stack([np.bincount(cell, x, n.size) for x in r.T], -1)
     m = total / np.maximum(n.reshape(-1, 1), 1)
@@ -385,92 +328,3 @@ def _bin_of(z: Array, edges: Array) -> Indices:
     rounding = 1e-12 * float(np.abs(edges).max())
     found = np.digitize(z + rounding, edges)
     return np.where(z <= edges[-1] + rounding, np.minimum(found, len(edges) - 1), found)
-
-
-# ---------------------------------------------------------------------------------------- kernels
-
-
-def _kernel_moments(
-    residuals: Residuals, axes: Axes, kernel: Kernel
-) -> tuple[Array, Array, Array, Array]:
-    """Mean (H, W, p), covariance (H, W, p, p), effective number and miss rate (H, W) by nearness.
-
-    Where a model sees next to nothing the rate is 1, and the moments are 0 and 1.
-    """
-    r, gone = _relate(_errors(residuals), axes, kernel), residuals.missed
-    H, W, p = len(_path_of(axes)), len(residuals.names), r.shape[1]
-    mean, S = np.zeros((H, W, p)), np.zeros((H, W, p, p)) + np.eye(p)
-    n, rate = np.full((H, W), 2.0), np.ones((H, W))
-    for t, w, rows, k in _weights(residuals, axes, kernel):
-        seen = ~gone[rows]
-        if (near := k[seen].sum()) < 2:
-            continue
-        a, e = k[seen] / near, r[rows[seen]]
-        n[t, w], rate[t, w] = 1 / (a @ a), 1 - near / k.sum()
-        mean[t, w] = a @ e
-        d = e - mean[t, w]
-        S[t, w] = (a * d.T) @ d / (1 - a @ a)
-    z = _scale(axes, kernel)
-    return mean * z, S * z[..., None] ** 2, n, np.where(rate < 1e-12, 0.0, rate)
-
-
-def _near(axes: Axes, kernel: Kernel) -> Mask:
-    """Return which residuals (N,) lie within three widths of the path in each variable."""
-    points, path = _coordinates(axes, kernel)
-    reach = 3 * kernel.width
-    inside = (points >= path.min(axis=0) - reach) & (points <= path.max(axis=0) + reach)
-    return np.asarray(inside.all(axis=1))
-
-
-def _weights(
-    residuals: Residuals, axes: Axes, kernel: Kernel
-) -> Iterator[tuple[int, int, Indices, Array]]:
-    """Yield each step and model, the rows of its looks, and how much each counts."""
-    points, path = _coordinates(axes, kernel)
-    for w, name in enumerate(residuals.names):
-        rows = np.flatnonzero(residuals.model == w)
-        for t, here in enumerate(path):
-            k = np.exp(-0.5 * np.square((points[rows] - here) / kernel.width).sum(axis=1))
-            if not (near := k.sum()) >= 2:
-                place = ", ".join(f"{key} {h[t]:g}" for key, (_, h) in axes.items())
-                raise ValueError(
-                    f"residuals: expected 2 or more of {name} near {place}, found {near:.2g} "
-                    "within the kernel; widen it or measure more"
-                )
-            yield t, w, rows, k
-
-
-def _coordinates(axes: Axes, kernel: Kernel) -> tuple[Array, Array]:
-    """Return residuals (N, V) and path (H, V) in standard deviations of each variable."""
-    for name in kernel.log:
-        check_name("kernel.log", name, axes)
-    columns = []
-    for name, pair in axes.items():
-        z, h = map(np.log, _positive(name, pair)) if name in kernel.log else pair
-        check_range(name, abs(z), LARGEST)
-        if not (deviation := z.std()) > 0:
-            raise ValueError(f"residuals: expected several values of {name}, found {z[0]:g} only")
-        columns.append((z / deviation, h / deviation))
-    points, path = (np.stack(side, axis=1) for side in zip(*columns, strict=True))
-    return points, path
-
-
-def _positive(name: str, pair: tuple[Array, Array]) -> tuple[Array, Array]:
-    """Refuse a variable that is not above 0, at residuals or along the path."""
-    if not (least := min(x.min() for x in pair)) > 0:
-        raise ValueError(f"kernel: expected {name} > 0 for a logarithm or a ratio, found {least:g}")
-    return pair
-
-
-def _relate(r: Array, axes: Axes, kernel: Kernel) -> Array:
-    """Divide the residuals (N, p) by the variable to which they are relative, if there is one."""
-    if kernel.relative is None:
-        return r
-    check_name("kernel.relative", kernel.relative, axes)
-    return r / _positive(kernel.relative, axes[kernel.relative])[0][:, None]
-
-
-def _scale(axes: Axes, kernel: Kernel) -> Array:
-    """Return that variable along the path, (H, 1, 1)."""
-    relative = kernel.relative
-    return (np.ones(1) if relative is None else axes[relative][1])[:, None, None]

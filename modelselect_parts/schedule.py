@@ -1,4 +1,4 @@
-"""A schedule with its proof: what every solver returns."""
+"""A schedule with its proof, what every solver returns; schedules as zeros and ones."""
 
 from __future__ import annotations
 
@@ -7,12 +7,36 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
-from modelselect_parts.checks import Array, Choices, check_array, check_number, frozen
+from modelselect_parts.checks import (
+    Array,
+    Choices,
+    check_array,
+    check_choices,
+    check_count,
+    check_number,
+    frozen,
+)
 from modelselect_parts.descent import relative_gap
 from modelselect_parts.stored import Stored
 
 OPTIMALITY_GAP = 1e-9
+
+
+def one_hot(choices: npt.ArrayLike, models: int) -> Array:
+    """Encode `choices` (H,) of W `models` as b (H, W): 1 where w = w_t (``eq:perEncoding``)."""
+    W = check_count("models", models)
+    c = check_choices(check_array("choices", choices, "H", (None,)), None, W)
+    return np.where(c[:, None] == np.arange(W), 1.0, 0.0)
+
+
+def from_one_hot(weights: npt.ArrayLike) -> Choices:
+    """Decode `weights` b (H, W), a single 1 in every row, into c (H,): the inverse of `one_hot`."""
+    b = check_array("weights", weights, "H W", (None, None))
+    if not ((b == 0) | (b == 1)).all() or (b.sum(axis=1) != 1).any():
+        raise ValueError("weights: expected a single 1 and otherwise 0 in every row")
+    return np.asarray(b.argmax(axis=1))
 
 
 @dataclass(frozen=True, eq=False)

@@ -83,3 +83,12 @@ def test_the_benchmark_of_planning_anew_runs_in_small(tmp_path):
     command = [sys.executable, FOLDER / "receding.py", "--quick", "--output", tmp_path]
     subprocess.run(command, check=True, capture_output=True)
     assert "| 2 | yes | mixed | 8 |" in (tmp_path / "receding.md").read_text(encoding="utf-8")
+
+
+def test_the_benchmark_of_a_detector_runs_in_small(tmp_path):
+    command = [sys.executable, FOLDER / "detectors.py", "--quick", "--output", tmp_path]
+    subprocess.run(command, check=True, capture_output=True, timeout=100)
+    written = (tmp_path / "detectors.md").read_text(encoding="utf-8")
+    for pattern in ("filter", "preview", "measurement", "open_loop"):
+        assert f"| {pattern} | 1 | " in written
+    assert (tmp_path / "detectors.csv").exists() and (tmp_path / "detectors.png").exists()

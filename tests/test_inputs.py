@@ -393,6 +393,16 @@ GAP, LIMIT, PATTERN = number(0.25), number(64.0, "none"), word("preview")
 STEPS = index([0, 2, 1, 2])
 
 
+COST = {
+    "C": real(C, "length-1"),
+    "Q": weight(np.diag([1.0, 2, 0])),
+    "R": weight(R),
+    "horizon": count(H),
+    "Q_final": weight(np.diag([3.0, 0, 1]), "none"),
+    "N": real(np.array([[0, 1], [1, 0], [0, 0]]) / 4, "none"),
+}
+
+
 @cache
 def seen_views():
     chosen = {"experiment": "measured", **landing.DEFAULTS["measured"], "horizon": 3, "trials": 1}
@@ -465,24 +475,14 @@ ROWS: dict[str, tuple[Callable[..., Any], dict[str, Arg]]] = {
         {
             "A": real(A),
             "B": real(B, blames="R"),
-            "C": real(C, "length-1"),
-            "Q": weight(np.diag([1.0, 2, 0])),
-            "R": weight(R),
-            "horizon": count(H),
-            "Q_final": weight(np.diag([3.0, 0, 1]), "none"),
-            "N": real(np.array([[0, 1], [1, 0], [0, 0]]) / 4, "none"),
+            **COST,
         },
     ),
     "ControlTask/from_statespace": (
         lambda **given: ms.psi(ms.ControlTask.from_statespace(**given)),
         {
             "system": record(plant),
-            "C": real(C, "length-1"),
-            "Q": weight(np.diag([1.0, 2, 0])),
-            "R": weight(R),
-            "horizon": count(H),
-            "Q_final": weight(np.diag([3.0, 0, 1]), "none"),
-            "N": real(np.array([[0, 1], [1, 0], [0, 0]]) / 4, "none"),
+            **COST,
             "dt": number(0.25),
         },
     ),
