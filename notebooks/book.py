@@ -12,13 +12,14 @@ from collections.abc import Iterator
 from html import escape
 from pathlib import Path
 
-import sliders
 from bs4 import BeautifulSoup
 from latex2mathml.converter import convert
 from nbconvert import HTMLExporter
 from nbconvert.filters.markdown_mistune import IPythonRenderer, MarkdownWithMath, MathInlineParser
 from nbformat import NotebookNode
 from pygments.formatters import HtmlFormatter
+
+import sliders
 
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parent
@@ -165,7 +166,7 @@ def slides(name: str, notebook: NotebookNode) -> Iterator[str]:
     pictures = 0
     for cell in notebook.cells:
         if cell.cell_type == "markdown":
-            heading = ([heading] + re.findall(r"^##+ (.*)", cell.source, re.MULTILINE))[-1]
+            heading = [heading, *re.findall(r"^##+ (.*)", cell.source, re.MULTILINE)][-1]
             continue
         for data in (output.get("data", {}).get("image/png") for output in cell.outputs):
             if data:

@@ -25,7 +25,6 @@ from pathlib import Path
 
 import jupytext
 import nbformat
-from book import flaws, make_pages
 from ipykernel.kernelspec import get_kernel_dict
 from jupyter_client import AsyncKernelManager
 from jupyter_client.kernelspec import KernelSpec, KernelSpecManager
@@ -35,6 +34,8 @@ from nbclient.exceptions import CellControlSignal, CellExecutionError, DeadKerne
 from nbformat import NotebookNode
 from nbformat.v4 import new_code_cell, new_notebook
 from tqdm import tqdm
+
+from book import flaws, make_pages
 
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parent

@@ -40,9 +40,7 @@
     });
     const steps = panel.frames[0].models.length;
     const step = scale(0, steps, left, right);
-    for (let k = 0; k <= 4; k++) {
-      text(step((k * steps) / 4), lane.bottom + 22, "middle", Math.round((k * steps) / 4));
-    }
+    for (let k = 0; k <= steps; k += steps / 5) text(step(k), lane.bottom + 22, "middle", k);
     text((left + right) / 2, lane.bottom + 42, "middle", "step");
     return { across, up, row, step };
   }
@@ -54,7 +52,6 @@
     const along = (values) =>
       values.map((v, t) => [across((panel.x.high * t) / (values.length - 1)), up(v)]);
     const dots = (panel.dots || []).map(([px, py]) => [across(px), up(py)]);
-    if (panel.joined) add(svg, "path", { class: "joined", d: path(dots) });
     for (const [px, py] of dots) add(svg, "circle", { class: "dot", cx: px, cy: py, r: 3 });
     for (const [px, py] of panel.diamonds || []) {
       const d = `M${across(px)} ${up(py) - 7}l6 7l-6 7l-6-7Z`;
@@ -72,6 +69,10 @@
       add(moving, "path", { class: "band", d: path([...low, ...high.reverse()]) + "Z" });
     }
     if (frame.line) add(moving, "path", { class: "line", d: path(along(frame.line)) });
+    if (frame.straight) {
+      const ends = frame.straight.map(([px, py]) => [across(px), up(py)]);
+      add(moving, "path", { class: "straight", d: path(ends) });
+    }
     if (frame.at) {
       const [px, py] = frame.at;
       add(moving, "circle", { class: "here", cx: across(px), cy: up(py), r: 8 });

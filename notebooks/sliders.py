@@ -33,7 +33,8 @@ Frame = dict[str, Any]
 HERE = Path(__file__).parent
 TITLE = "Play: proved optima behind sliders"
 RATIOS = [(1, 2**k) for k in range(6, 0, -1)] + [(2**k, 1) for k in range(10)]  # alpha : beta
-ERRORS = [k / 10 for k in range(11)]  # m/s
+BIASES = [k / 10 for k in range(11)]  # m/s
+NOISES = BIASES[1:]
 TOLLS = [0, 0.002, 0.005, 0.01, 0.02, 0.03, 0.05, 0.07, 0.1, 0.15, 0.2, 0.3, 0.5]
 LARGEST_BUDGET = 72  # more buys nothing
 
@@ -125,6 +126,12 @@ def rounded(values: np.ndarray) -> list[float]:
     return [float(f"{value:.4g}") for value in np.asarray(values)]
 
 
+def axis(label: str, low: float, high: float, ticks: Any) -> dict[str, Any]:
+    """Describe an axis; a tick is a number."""
+    named = [(float(tick), f"{tick:g}".replace("-", "−")) for tick in ticks]
+    return {"label": label, "low": low, "high": high, "ticks": named}
+
+
 # --- panels ---
 
 
@@ -152,14 +159,13 @@ def weights_panel() -> dict[str, Any]:
         "title": "α : β, the landing",
         "text": "A drone lands from 100 ft in 20 s on a forecast by eight models: b0 is free and "
         'far off, b7 dear and nearly right (<a href="05_landing.html">notebook 5</a>). The weight '
-        "α counts control, β perception. Same gusts, same luck: only the schedule changes.",
+        "α counts control, β perception. Same gusts, same luck: only the schedule changes. Costs know "
+        "the dotted glide path, but no ground: who departs from it below 0 has crashed.",
         "sliders": [("α : β", [f"{a} : {b}" for a, b in RATIOS], RATIOS.index((4, 1)))],
         "names": names,
-        "x": {"label": "time (s)", "low": 0, "high": 20, "ticks": [(t, t) for t in range(0, 21, 5)]},
-        "y": {"label": "altitude (ft)", "low": -30, "high": 110}
-        | {"ticks": [(h, h) for h in range(0, 101, 50)]},
+        "x": axis("time (s)", 0, 20, range(0, 21, 5)),
+        "y": axis("altitude (ft)", -100, 110, range(-100, 101, 50)),
         "dotted": rounded(run.landing.path),
-        "dotted_name": "the glide path",
         "frames": frames,
     }
 
@@ -169,7 +175,7 @@ def errors_panel() -> dict[str, Any]:
     task, names, zero = boat(), ["biased", "noisy"], np.zeros((40, 40, 1))
     pushed = run_controller(task, [0, 0], zero, np.eye(40)[:, :, None], "preview")[0][..., 0]
     frames = []
-    for bias, noise in product(ERRORS, ERRORS):
+    for bias, noise in product(BIASES, NOISES):
         problem = boat_problem(bias, noise)
         best = proved(problem)
         always = problem.total_cost(np.repeat([[0], [1]], 40, axis=1))
@@ -183,7 +189,7 @@ def errors_panel() -> dict[str, Any]:
         }
         band = [rounded(drift - spread), rounded(drift + spread)]
         frames.append(frame(best, names, facts, line=rounded(drift), band=band))
-    tens = [f"{value:.1f} m/s" for value in ERRORS]
+    tens = [f"{value:.1f} m/s" for value in BIASES]
     return {
         "id": "errors",
         "title": "Bias against noise",
@@ -192,18 +198,20 @@ def errors_panel() -> dict[str, Any]:
         "The line is the mean position, the band one standard deviation to each side. Which has "
         'the smaller mean square, and which flies better (<a href="02_mean_and_variance.html">'
         "notebook 2</a>)?",
-        "sliders": [("bias of the biased model", tens, 3), ("noise of the noisy model", tens, 5)],
+        "sliders": [
+            ("bias of the biased model", tens, 3),
+            ("noise of the noisy model", tens[1:], 4),
+        ],
         "names": names,
-        "x": {"label": "time (s)", "low": 0, "high": 8, "ticks": [(t, t) for t in range(0, 9, 2)]},
-        "y": {"label": "position (m)", "low": -1.1, "high": 1.1}
-        | {"ticks": [(-1, "−1"), (0, 0), (1, 1)]},
+        "x": axis("time (s)", 0, 8, range(0, 9, 2)),
+        "y": axis("position (m)", -0.5, 0.5, (-0.4, 0, 0.4)),
         "frames": frames,
     }
 
 
 def switching_panel() -> dict[str, Any]:
     """Slide what a change of model costs."""
-    names, frames = ["b0", "b1", "b2", "b3"], []
+    names, frames, top = ["b0", "b1", "b2", "b3"], [], 1.2
     for toll in TOLLS:
         problem = cart_problem(toll)
         best = proved(problem)
@@ -216,23 +224,22 @@ def switching_panel() -> dict[str, Any]:
             "total": number(best.cost),
             "no schedule is below": number(best.lower_bound),
         }
-        frames.append(frame(best, names, facts, at=rounded([toll, best.cost])))
-    dots = [step["at"] for step in frames]
+        rest = best.cost - toll * switches
+        end = min(TOLLS[-1], (top - rest) / max(switches, 1))
+        line = [rounded([0, rest]), rounded([end, rest + end * switches])]
+        frames.append(frame(best, names, facts, at=rounded([toll, best.cost]), straight=line))
     return {
         "id": "switching",
         "title": "Switching costs",
         "text": "A cart on a forecast chooses among four models whose biases, 0.6, −0.4, 0.2 and "
-        "0.05, cancel if it alternates. Let every change of model cost something. Each schedule is "
-        "a straight line over that cost, as steep as it has switches; the optimum is the lowest of "
-        'all lines (<a href="03_exact.html">notebook 3</a>).',
+        "0.05, cancel if it alternates. Let every change of model cost something. A schedule is a "
+        "straight line over that cost, as steep as it has switches: here is that of the optimum, "
+        'and none lies below the points (<a href="03_exact.html">notebook 3</a>).',
         "sliders": [("cost of a switch", [f"{toll:g}" for toll in TOLLS], 0)],
         "names": names,
-        "x": {"label": "cost of a switch", "low": 0, "high": 0.5}
-        | {"ticks": [(k / 10, f"0.{k}") for k in range(6)]},
-        "y": {"label": "total of the optimum", "low": 0, "high": 1.2 * dots[-1][1]}
-        | {"ticks": [(k / 2, f"{k / 2:g}") for k in range(int(2.4 * dots[-1][1]) + 1)]},
-        "dots": dots,
-        "joined": True,
+        "x": axis("cost of a switch", 0, 0.5, (0, 0.1, 0.2, 0.3, 0.4, 0.5)),
+        "y": axis("total of the optimum", 0, top, (0, 0.5, 1)),
+        "dots": [shown["at"] for shown in frames],
         "frames": frames,
     }
 
@@ -275,10 +282,8 @@ def budget_panel() -> dict[str, Any]:
         "the others are optimal under a budget only.",
         "sliders": [("budget", [str(k) for k in range(len(frames))], 30)],
         "names": names,
-        "x": {"label": "spent", "low": 0, "high": LARGEST_BUDGET}
-        | {"ticks": [(k, k) for k in range(0, LARGEST_BUDGET + 1, 10)]},
-        "y": {"label": "control (logarithmic)", "low": -2.2, "high": 0.6}
-        | {"ticks": [(k, f"{10.0**k:g}") for k in range(-2, 1)]},
+        "x": axis("spent", 0, LARGEST_BUDGET, range(0, LARGEST_BUDGET + 1, 10)),
+        "y": axis("control, power of ten", -2.2, 0.6, (-2, -1, 0)),
         "dots": [rounded([x, np.log10(y)]) for x, y in points],
         "diamonds": [rounded([x, np.log10(y)]) for x, y in hull],
         "frames": frames,
@@ -328,7 +333,7 @@ def section(panel: dict[str, Any]) -> str:
 <div class="panel" role="group" aria-labelledby="{key}">
 <div class="sliders">{sliders}</div>
 <svg viewBox="0 0 760 420" role="img"></svg>
-<output id="{key}-facts" for="{key}-0"></output>
+<output id="{key}-facts"></output>
 <button type="button" aria-expanded="false" aria-controls="{key}-all">All as a table</button>
 <div class="table" id="{key}-all" role="region" aria-label="{title}: all positions" tabindex="0">
 {table(panel)}
