@@ -18,8 +18,8 @@ NOTEBOOKS  := $(wildcard notebooks/build.py)
 BENCHMARKS := $(wildcard benchmarks/peers.py benchmarks/scaling.py benchmarks/correlated.py)
 
 .DEFAULT_GOAL := help
-.PHONY: .venv help landing test lint format types notebooks notebooks-check book bench mutation \
-	mutation-score test-oldest clean
+.PHONY: .venv help landing test lint format types notebooks notebooks-check book book-check bench \
+	mutation mutation-score test-oldest clean
 
 help: ## list the targets (the default)
 	@awk -F ':.*## ' '/^[.a-z-]+:.*## / { printf "make %-16s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -40,7 +40,7 @@ $(VENV)/.dev: pyproject.toml constraints.txt | $(VENV)/bin/python
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[dev]'
 	@touch $(VENV)/.run $@
 
-# $(VENV)/.notebooks and $(VENV)/.benchmarks
+# $(VENV)/.notebooks, $(VENV)/.browser and $(VENV)/.benchmarks
 $(VENV)/.%: pyproject.toml constraints.txt | $(VENV)/.dev
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[$*]'
 	@touch $@
@@ -76,6 +76,10 @@ notebooks-check: $(if $(NOTEBOOKS),$(VENV)/.notebooks) ## fail if a notebook is 
 
 book: $(if $(NOTEBOOKS),$(VENV)/.notebooks) ## the notebooks as a web book that works offline
 	$(if $(NOTEBOOKS),$(BIN)/python $(NOTEBOOKS) --book $(ARGS),@echo "no notebooks yet")
+
+# Skipped, with the reason, where the system has no Chromium or no chromedriver.
+book-check: $(VENV)/.browser ## open the book in a browser: no error, sliders move, nothing is fetched
+	$(BIN)/python -m pytest tests/test_book.py -rs $(ARGS)
 
 # --- slow ones, not part of the checks above ---
 

@@ -19,8 +19,13 @@ from nbconvert.filters.markdown_mistune import IPythonRenderer, MarkdownWithMath
 from nbformat import NotebookNode
 from pygments.formatters import HtmlFormatter
 
-ROOT = Path(__file__).resolve().parents[1]
+import sliders
+
+HERE = Path(__file__).resolve().parent
+ROOT = HERE.parent
 GOALS = "**After this notebook you can**"
+SLIDES = "Slides: all figures"
+Chapter = tuple[str, str, str]  # file, title and body of a page
 Neighbour = tuple[str, str] | None  # file and title of the page before or after
 
 # --- Markdown ---
@@ -96,7 +101,7 @@ class Renderer(IPythonRenderer):
         return super().link(text, url, title) if page or re.match("#|https?:", url) else text
 
 
-def markdown(source: str, folder: Path = ROOT / "notebooks") -> str:
+def markdown(source: str, folder: Path = HERE) -> str:
     """Render Markdown; pictures from files in the folder are embedded."""
     renderer = Renderer(escape=False, embed_images=True, path=str(folder))
     return MarkdownWithMath(renderer, inline=Inline()).render(source)
@@ -142,8 +147,8 @@ def title_of(source: str) -> str:
     return source.splitlines()[0].strip("# ")
 
 
-def contents(notebooks: dict[str, NotebookNode]) -> str:
-    """List the chapters, each with what a reader can do after it."""
+def contents(notebooks: dict[str, NotebookNode], besides: list[Chapter]) -> str:
+    """List the chapters, each with what a reader can do after it, and the pages after them."""
     items = ["<h2>Chapters, and what you can do after each</h2>"]
     for name, notebook in notebooks.items():
         first = notebook.cells[0].source
@@ -151,7 +156,42 @@ def contents(notebooks: dict[str, NotebookNode]) -> str:
         bullets = "\n".join(re.findall(r"^[-*] .*(?:\n .*)*", goals, re.MULTILINE))
         items.append(f'<h3><a href="{name}.html">{escape(title_of(first))}</a></h3>')
         items.append(markdown(bullets))
-    return "\n".join(items)
+    links = (f'<li><a href="{file}">{escape(title)}</a></li>' for file, title, _ in besides)
+    return "\n".join([*items, "<h2>Besides</h2>", "<ul>", *links, "</ul>"])
+
+
+def slides(name: str, notebook: NotebookNode) -> Iterator[str]:
+    """Write a slide for every picture of a notebook, under the heading that it stands below."""
+    heading = chapter = title_of(notebook.cells[0].source)
+    pictures = 0
+    for cell in notebook.cells:
+        if cell.cell_type == "markdown":
+            heading = [heading, *re.findall(r"^##+ (.*)", cell.source, re.MULTILINE)][-1]
+            continue
+        for data in (output.get("data", {}).get("image/png") for output in cell.outputs):
+            if data:
+                pictures += 1
+                title = markdown(heading).strip().removeprefix("<p>").removesuffix("</p>")
+                alt = escape(cell.metadata.alt)
+                yield f"""<section class="slide" id="{name[:2]}-{pictures}">
+<p><a href="{name}.html">{escape(chapter)}</a></p>
+<h2 tabindex="-1">{title}</h2>
+<figure><img src="data:image/png;base64,{data.strip()}" alt="{alt}">
+<figcaption aria-hidden="true">{alt}</figcaption></figure>
+</section>
+"""
+
+
+def slide_show(notebooks: dict[str, NotebookNode]) -> str:
+    """Write the slides of all notebooks; slides.js shows one at a time, paper two a page."""
+    script = (HERE / "slides.js").read_text(encoding="utf-8")
+    shown = "".join(slide for pair in notebooks.items() for slide in slides(*pair))
+    return f"""<h1>{SLIDES}</h1>
+<p>Every figure of the notebooks. The arrow keys turn, Home and End lead to the first and the last;
+printed, they are a sheet with two figures a page.</p>
+<div class="turner"><button type="button">← Back</button><output aria-live="polite"></output>
+<button type="button">On →</button></div>
+{shown}<script>{script}</script>"""
 
 
 # --- pages ---
@@ -160,17 +200,21 @@ def contents(notebooks: dict[str, NotebookNode]) -> str:
 def make_pages(
     notebooks: dict[str, NotebookNode], solutions: dict[str, NotebookNode]
 ) -> dict[str, str]:
-    """Return the pages of the book by file name: contents, chapters, paper.md, README, solutions."""
+    """Return the pages of the book by file name: contents, chapters, what is besides, solutions."""
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
     chapters = [
         (f"{name}.html", title_of(notebook.cells[0].source), render(name, notebook))
         for name, notebook in notebooks.items()
     ]
-    opening = markdown(readme.partition("\n## ")[0], ROOT)
-    chapters.insert(0, ("index.html", title_of(readme), opening + contents(notebooks)))
-    paper = (ROOT / "notebooks" / "paper.md").read_text(encoding="utf-8")
-    chapters.append(("paper.html", title_of(paper), markdown(paper)))
-    chapters.append(("readme.html", "The project", markdown(readme, ROOT)))
+    paper = (HERE / "paper.md").read_text(encoding="utf-8")
+    besides = [
+        ("play.html", sliders.TITLE, sliders.body()),
+        ("slides.html", SLIDES, slide_show(notebooks)),
+        ("paper.html", title_of(paper), markdown(paper)),
+        ("readme.html", "The project", markdown(readme, ROOT)),
+    ]
+    opening = markdown(readme.partition("\n## ")[0], ROOT) + contents(notebooks, besides)
+    chapters = [("index.html", title_of(readme), opening), *chapters, *besides]
     pages = {}
     for i, (file, title, body) in enumerate(chapters):
         before, after = chapters[:i][-1:], chapters[i + 1 :][:1]
@@ -265,70 +309,5 @@ def style() -> str:
             for name in ("xcode", "github-dark")
         )
     )
-    return f"{SHAPE}{light}\n@media screen and (prefers-color-scheme: dark) {{{DARK}{dark}\n}}"
-
-
-DARK = """
-:root { --text: #e4e8ec; --paper: #14181c; --soft: #1f262d; --line: #47525d; --link: #7cbcff; }
-.output_png img, p > img { filter: brightness(0.9); }
-"""
-
-SHAPE = """
-:root { --text: #1b1f24; --paper: #fff; --soft: #f4f6f8; --line: #c8d0d8; --link: #0b57a4; }
-* { box-sizing: border-box; }
-body { margin: 0; background: var(--paper); color: var(--text); overflow-wrap: break-word;
-  font: 1.0625rem/1.6 system-ui, "Segoe UI", "Helvetica Neue", Arial, sans-serif; }
-header, main, footer { max-width: 54rem; margin: 0 auto; padding: 0.75rem 1.25rem; }
-a { color: var(--link); text-underline-offset: 0.15em; }
-:focus-visible { outline: 3px solid var(--link); }
-.skip { position: absolute; left: -99rem; }
-.skip:focus { left: 1rem; top: 0.5rem; padding: 0.25rem 0.5rem; background: var(--paper); }
-header { font-size: 0.9rem; border-bottom: 1px solid var(--line); }
-header ul { list-style: none; margin: 0.25rem 0 0; padding: 0; }
-header li { display: inline-block; margin-right: 1.25rem; }
-h1, h2, h3 { line-height: 1.25; margin: 2.2em 0 0.6em; }
-h1 { font-size: 1.9rem; margin-top: 1rem; }
-h2 { font-size: 1.4rem; }
-h3 { font-size: 1.1rem; }
-p, ul, ol { max-width: 46rem; }
-header ul { max-width: none; }
-img { max-width: 100%; height: auto; }
-.output_png img, .output_html, p > img { background: #fff; border-radius: 4px; }
-.output_html { color: #1b1f24; color-scheme: light; }
-code, pre { font: 0.875em/1.5 ui-monospace, "Cascadia Mono", Menlo, Consolas, "DejaVu Sans Mono",
-  monospace; }
-:not(pre) > code { background: var(--soft); padding: 0.1em 0.3em; border-radius: 3px; }
-pre { margin: 0; padding: 0.75rem 1rem; overflow-x: auto; font-size: 0.82rem; }
-.input pre, div.highlight pre, main > pre { background: var(--soft); border-radius: 4px; }
-main > pre, .cell { margin: 1rem 0; }
-.output_area, .table { overflow-x: auto; margin: 0.5rem 0; }
-.output_text { border-left: 4px solid var(--line); }
-table { border-collapse: collapse; font-size: 0.9rem; }
-th, td { border: 1px solid var(--line); padding: 0.3rem 0.6rem; vertical-align: top; }
-th { background: var(--soft); text-align: left; }
-math { font-family: "STIX Two Math", "Cambria Math", "Latin Modern Math", "Libertinus Math",
-  "TeX Gyre Termes Math", "DejaVu Math TeX Gyre", math; }
-math[display="block"] { overflow-x: auto; overflow-y: hidden; padding: 0.4em 0; }
-[mathvariant^="bold"] { font-weight: bold; }
-[mathvariant="bold"], [mathvariant="sans-serif"] { text-transform: none; }
-[mathvariant="sans-serif"] { font-family: sans-serif; }
-mtable[displaystyle="true"] { math-style: normal; }
-mtable[columnspacing="0em"] > mtr > mtd { padding-left: 0; padding-right: 0; }
-mtd[columnalign="left"] { text-align: left; }
-mtd[columnalign="right"] { text-align: right; }
-summary { cursor: pointer; margin: 0.5rem 0; color: var(--link); }
-.turn { display: flex; flex-wrap: wrap; gap: 0.5rem 2rem; justify-content: space-between;
-  border-top: 1px solid var(--line); padding: 1rem 0 2rem; }
-.turn a[rel="next"] { margin-left: auto; text-align: right; }
-@media print {
-  header, footer, .skip, .code { display: none; }
-  #the-sheet, #recall { break-before: page; }
-  main { max-width: none; }
-  body { font-size: 10pt; line-height: 1.35; }
-  h2 { margin-top: 1em; }
-  th, td { padding: 0.1rem 0.5rem; }
-  pre { white-space: pre-wrap; }
-  .output_png, tr { break-inside: avoid; }
-  h2, h3 { break-after: avoid; }
-}
-"""
+    shape = (HERE / "book.css").read_text(encoding="utf-8")
+    return f"{shape}{light}\n@media screen and (prefers-color-scheme: dark) {{{dark}\n}}"

@@ -25,7 +25,6 @@ from pathlib import Path
 
 import jupytext
 import nbformat
-from book import flaws, make_pages
 from ipykernel.kernelspec import get_kernel_dict
 from jupyter_client import AsyncKernelManager
 from jupyter_client.kernelspec import KernelSpec, KernelSpecManager
@@ -35,6 +34,8 @@ from nbclient.exceptions import CellControlSignal, CellExecutionError, DeadKerne
 from nbformat import NotebookNode
 from nbformat.v4 import new_code_cell, new_notebook
 from tqdm import tqdm
+
+from book import flaws, make_pages
 
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parent
@@ -308,21 +309,26 @@ def each(work: Callable[[str], list[str]], chosen: list[str], quiet: bool) -> li
     return findings
 
 
-def bind(chosen: list[str], keep: bool) -> list[str]:
-    """Make the book from the committed notebooks; keep it if nothing is wrong with it."""
+def pages() -> dict[str, str]:
+    """Make the pages of the book from the committed notebooks."""
+    return make_pages(
+        {name: read_committed(name) for name in names()},
+        {name: read_source(HERE / "solutions" / f"{name}.py") for name in names()},
+    )
+
+
+def bind(keep: bool) -> list[str]:
+    """Make the book; keep it if nothing is wrong with it."""
     try:
-        pages = make_pages(
-            {name: read_committed(name) for name in chosen},
-            {name: read_source(HERE / "solutions" / f"{name}.py") for name in chosen},
-        )
+        made = pages()
     except (Finding, ValueError) as error:
         return [f"book: {error}"]
-    findings = [f"book: {line}" for line in flaws(pages)]
+    findings = [f"book: {line}" for line in flaws(made)]
     if keep and not findings:
         BOOK.mkdir(exist_ok=True)
-        for old in set(BOOK.glob("*.html")) - {BOOK / file for file in pages}:
+        for old in set(BOOK.glob("*.html")) - {BOOK / file for file in made}:
             old.unlink()
-        for file, html in pages.items():
+        for file, html in made.items():
             put(BOOK / file, html)
     return findings
 
@@ -348,7 +354,7 @@ def main() -> int:
             ENVIRONMENT["IPYTHONDIR"] = folder  # instead of the user's own startup files
             findings = each(check if options.check else write, chosen, options.quiet)
     if options.book or (options.check and not findings and not options.names):
-        findings = bind(names(), keep=options.book)
+        findings = bind(keep=options.book)
     done = f"{BOOK.relative_to(ROOT)}/index.html" if options.book else ", ".join(chosen)
     print("\n".join(findings) or f"all is well: {done}")
     return int(bool(findings))
