@@ -52,8 +52,9 @@ landing: $(VENV)/.run ## the drone-landing experiment (ARGS="--help" lists its o
 
 # --- checks ---
 
-test: $(VENV)/.dev ## the tests, with branch coverage
-	$(BIN)/python -m pytest $(ARGS) --cov
+# A file is one process's work, for what its tests share.
+test: $(VENV)/.dev ## the tests, on all cores, with branch coverage
+	$(BIN)/python -m pytest --numprocesses auto --dist loadfile $(ARGS) --cov
 
 lint: $(VENV)/.dev ## style: ruff's rules and its formatter
 	$(BIN)/ruff check .
