@@ -112,8 +112,8 @@ def put(play, panel: str, slider: int, place: int) -> None:
 
 def facts(play, panel: str) -> dict[str, str]:
     output = play.find_element("id", f"{panel}-facts")
-    pairs = zip(output.find_elements("tag name", "dt"), output.find_elements("tag name", "dd"))
-    return {name.text: value.text for name, value in pairs}
+    names, values = (output.find_elements("tag name", tag) for tag in ("dt", "dd"))
+    return {name.text: value.text for name, value in zip(names, values, strict=True)}
 
 
 def drawn_models(play, panel: str, count: int) -> list[int]:
