@@ -12,7 +12,8 @@ of the scheduled models, and the costs are those of the roll-out.  Model w costs
 every schedule: it changes percentages, but not the optimum.
 
 In ``--experiment trained`` the models are networks that learned from rendered pictures, their
-errors are measured on other pictures, and the drone also lands by what they see on the way.
+errors are measured on other pictures, and the drone also lands by what they see on the way.  What
+it knows of them may grow by stages: ``--calibrate``, ``--rounds`` of landings that are labelled.
 
 From the shell, ``python landing.py --help``; from a notebook::
 
@@ -45,7 +46,7 @@ from scipy.signal import cont2discrete
 import modelselect as ms
 import perception
 from modelselect import Array, Choices, ControlTask, Schedule, SelectionProblem
-from modelselect_parts import figures, flights, measured, options, prices, tables
+from modelselect_parts import figures, flights, measured, options, pooling, prices, stages, tables
 from modelselect_parts.checks import check_class, check_count, check_name, check_number, shown
 from modelselect_parts.figures import STYLE
 from modelselect_parts.files import check_targets, write_atomically
@@ -76,6 +77,7 @@ from modelselect_parts.plots import (
 from modelselect_parts.prices import COSTS, UNITS, model_cost
 from modelselect_parts.published import COMPARISONS, EXPERIMENT_1, EXPERIMENT_2
 from modelselect_parts.rivals import Front, pareto, policies, whole_front
+from modelselect_parts.sight import gains_for
 from perception import MOUNT, PerceptionSuite, Trained
 
 Rng = np.random.Generator
@@ -88,7 +90,7 @@ LOOK, PRICE = figures.POLICY_STYLE, figures.PERCEPTION_AXIS  # their older names
 class Preset(flights.Aircraft):
     """An aircraft, and how the world and the models are drawn; the elevator controls it.
 
-    Of an `Aircraft` it has the `task`, `x0`, `prior_mean`, `path` and `dt`.
+    Of an `Aircraft` it has the `task`, `x0`, `prior_mean`, `gust`, `path` and `dt`.
     """
 
     draw_inputs: Callable[[Rng, int], Array]  #: generator, trials -> true s (trials, H, p)
@@ -118,6 +120,7 @@ def _published(H: int) -> Preset:
         x0=np.array([1000, 2, 2, 0.2]),
         draw_inputs=lambda rng, trials: rng.uniform(0, 0.002, (trials, H, 1)),
         prior_mean=np.full((H, 1), 0.001),
+        gust=0.002 / math.sqrt(3),
         draw_suite=lambda rng: perception.published_suite(H, rng, upsilon=1.0),
         upsilon=1e14,
         path=np.zeros(H + 1),
@@ -142,6 +145,7 @@ def _textbook(H: int) -> Preset:
         x0=np.array([5.0, 0, 0, 0]),
         draw_inputs=lambda rng, trials: rng.normal(0, 0.3, (trials, H, 1)),
         prior_mean=np.zeros((H, 1)),
+        gust=0.3,
         draw_suite=lambda rng: perception.textbook_suite(path[:-1], rng),
         upsilon=None,
         path=path,
@@ -182,9 +186,16 @@ def _simulated(landing: Preset, run: Settings, rng: Rng, _: Trained | None) -> P
     return replace(suite, cost=prices.latency(suite.names)) if run.cost == "latency" else suite
 
 
-def _trained(landing: Preset, run: Settings, _: Rng, trained: Trained) -> PerceptionSuite:
+def _trained(landing: Preset, run: Settings, rng: Rng, trained: Trained) -> PerceptionSuite:
     """Fit what the models did on held-out pictures along the landing (``subsec:expAirsim``)."""
-    return fit_landing(landing, trained.residuals, model_cost(trained.networks, run.cost))
+    return _fitted(landing, run, rng, trained.networks, pooling.labelled(trained.residuals))
+
+
+def _fitted(
+    landing: Preset, run: Settings, rng: Rng, networks: Any, seen: pooling.Labelled
+) -> PerceptionSuite:
+    cost = model_cost(networks, run.cost)
+    return fit_landing(landing, seen, cost, FITS[run.fit], rng=rng)
 
 
 def _measured(landing: Preset, run: Settings, rng: Rng, _: Trained | None) -> PerceptionSuite:
@@ -203,14 +214,18 @@ DEFAULTS: dict[str, dict[str, Any]] = {
     | {"trials": 20},  # Clairvoyant's problems are hard ones
 }
 MEASURED_FLIGHTS = 1000
-#: Settings beyond the paper.
+LABELLED = 20  # landings of a round that is labelled
+#: How errors are pooled along the way, and in how many bins.
+FITS = {"kernel": None, "bins": flights.BINS}
+#: Settings beyond the paper: limits, and what networks learn after their training.
 LIMITS = ("switch_cost", "budget")
+LEARNING = ("fit", "calibrate", "rounds")
 
 
 def _names() -> dict[str, Any]:
-    """Return what those settings may be that are names: of patterns, those that need no gains."""
-    known = EXPERIMENTS, PRESETS, ms.INFORMATION, COSTS
-    return dict(zip(("experiment", "preset", "information", "cost"), known, strict=True))
+    """Return what those settings may be that are names."""
+    known = EXPERIMENTS, PRESETS, ms.PATTERNS, COSTS, FITS
+    return dict(zip(("experiment", "preset", "information", "cost", "fit"), known, strict=True))
 
 
 @dataclass(frozen=True)
@@ -219,7 +234,7 @@ class Settings:
 
     experiment: str = "simulated"  #: one of `EXPERIMENTS`
     preset: str = "published"  #: one of `PRESETS`
-    information: str = "open_loop"  #: one of `modelselect.INFORMATION`
+    information: str = "open_loop"  #: one of `modelselect.PATTERNS`, with gains of a Kalman filter
     horizon: int = 150  #: steps of a landing
     trials: int = 100  #: landings
     alpha: float = 0.8  #: weight of control cost (``eq:jtot``)
@@ -230,12 +245,16 @@ class Settings:
     switch_cost: float = 0.0  #: perception cost (ms, if that is latency) of changing models
     budget: float | None = None  #: the most that perception may cost on a landing, with switches
     residuals: str | None = None  #: a file of experiment ``measured``; None: that of a tag detector
+    fit: str = "kernel"  #: how errors of networks are pooled, one of `FITS`
+    calibrate: bool = False  #: whether networks report E[z | z_hat], by held-out pictures
+    rounds: int = 0  #: of `LABELLED` landings that networks are labelled on, with what is best then
 
     def __post_init__(self) -> None:
         for name, known in _names().items():
             check_name(name, getattr(self, name), known)
         counts = {name: check_count(name, getattr(self, name)) for name in ("horizon", "trials")}
         counts["seed"] = check_count("seed", self.seed, minimum=0, top=math.inf)
+        counts["rounds"] = check_count("rounds", self.rounds, minimum=0)
         for name, count in counts.items():
             object.__setattr__(self, name, count)
         for name in ("alpha", "beta", "upsilon", *LIMITS):
@@ -250,6 +269,13 @@ class Settings:
             raise ValueError(f"residuals: used by experiment measured, found {self.experiment!r}")
         if self.experiment == "simulated" and self.cost == "counted":
             raise ValueError("cost: simulated models have linear cost or latency, found 'counted'")
+        if not isinstance(self.calibrate, bool):
+            raise ValueError(f"calibrate: expected True or False, found {shown(self.calibrate)}")
+        for name in LEARNING:
+            if self.experiment != "trained" and getattr(self, name) != getattr(Settings, name):
+                raise ValueError(f"{name}: of experiment trained, found {self.experiment!r}")
+        if self.rounds and ms.PATTERNS[self.information].foresight:
+            raise ValueError(f"rounds: a flight has no forecast, found {self.information!r}")
 
 
 class Flights(NamedTuple):
@@ -265,6 +291,18 @@ class Flights(NamedTuple):
 QUANTITIES = Flights._fields[2:]
 
 
+class Stage(NamedTuple):
+    """What is known of the models, the problem that it poses, and its optimum."""
+
+    name: str
+    suite: PerceptionSuite
+    gains: Array | None  #: of a pattern that takes them
+    problem: SelectionProblem
+    optimal: Schedule
+    seconds: float  #: that `modelselect.solve` took
+    skill: Any = None  #: what networks can do by then, a `stages.Skill`
+
+
 @dataclass(frozen=True, eq=False)
 class Result:
     """A run: its settings with the Upsilon that was used, the problem, its optimum, the trials."""
@@ -278,10 +316,63 @@ class Result:
     flights: dict[str, Flights]  #: by policy
     trained: Trained | None = None  #: the networks of experiment ``trained``
     front: Front | None = None  #: all Pareto points, where they were asked for
+    stages: tuple[Stage, ...] = ()  #: of which the last one is posed, solved and flown
 
     def means(self) -> dict[str, Array]:
         """Means over trials (3,) of control cost, perception cost and reward, by policy."""
         return {policy: np.mean(flown[2:], axis=1) for policy, flown in self.flights.items()}
+
+
+def _posed(
+    name: str,
+    run: Settings,
+    landing: Preset,
+    suite: PerceptionSuite,
+    skill: Any = None,
+) -> tuple[Settings, Stage]:
+    """Price a suite, pose its problem and solve it; return the Upsilon that was used, too."""
+    gains = gains_for(landing, run.information, suite)
+    Psi = ms.psi(landing.task, run.information, gains=gains)
+    upsilon = landing.upsilon if run.upsilon is None else run.upsilon
+    upsilon = cost_scale(Psi, suite) if upsilon is None else upsilon
+    dearest = suite.cost[np.isfinite(suite.cost)].max()
+    sums = ("upsilon", upsilon, dearest), ("switch_cost", run.switch_cost, run.horizon)
+    for setting, price, times in sums:
+        if not math.isfinite(price * float(times)):
+            raise ValueError(f"{setting}: the costs overflow, found {price:g}")
+    suite, weight = prices.priced(suite, upsilon, run.cost)
+    posed = (Psi, suite.mean, suite.variance, suite.cost, run.alpha, run.beta * weight)
+    switch_cost = run.switch_cost * (1 - np.eye(len(suite.names))) if run.switch_cost else None
+    problem = SelectionProblem(*posed, switch_cost=switch_cost, budget=run.budget)
+    started = perf_counter()
+    optimal = ms.solve(problem)
+    seconds = perf_counter() - started
+    stage = Stage(name, suite, gains, problem, optimal, seconds, skill)
+    return replace(run, upsilon=upsilon), stage
+
+
+def _learning(run: Settings, landing: Preset, first: Stage, rng: Rng) -> list[Stage]:
+    """Return the stages in which networks learn more: calibrated, then round by round."""
+    known = [first]
+    for k in range(0 if run.calibrate else 1, run.rounds + 1):
+        able, last = first.skill, known[-1]
+        if k > 0:
+            able, s = last.skill, landing.draw_inputs(rng, LABELLED)
+            given = (able, run.information, last.optimal.choices, rng, s, last.gains)
+            able = able._replace(pictures=stages.label_landings(landing, *given))
+        able = stages.skill(able.networks, able.pictures, run.calibrate)
+        suite = _fitted(landing, run, rng, able.networks, able.seen)
+        known += [_posed(f"round {k}" if k else "calibrated", run, landing, suite, able)[1]]
+    return known
+
+
+def _known(run: Settings, landing: Preset, trained: Any, rng: Rng) -> tuple[Settings, list[Stage]]:
+    """Return the stages of a run, one unless networks learn, and the Upsilon of the first."""
+    suite, able = EXPERIMENTS[run.experiment](landing, run, rng, trained), None
+    if run.experiment == "trained":
+        able = stages.skill(trained.networks, pooling.labelled(trained.residuals), False)
+    run, stage = _posed(run.fit, run, landing, suite, able)
+    return run, _learning(run, landing, stage, rng) if able else [stage]
 
 
 def run_experiment(
@@ -298,36 +389,22 @@ def run_experiment(
             raise ValueError(f"{name}: expected {kind.__name__}, found {shown(given)}")
     streams = np.random.default_rng(run.seed).spawn(4)
     landing = preset(run.preset, run.horizon)
-    Psi = ms.psi(landing.task, run.information)
     if run.experiment == "trained" and trained is None:
         trained = learn(run.seed, progress=progress)
-    suite = EXPERIMENTS[run.experiment](landing, run, streams[0], trained)
-    upsilon = landing.upsilon if run.upsilon is None else run.upsilon
-    upsilon = cost_scale(Psi, suite) if upsilon is None else upsilon
-    dearest = suite.cost[np.isfinite(suite.cost)].max()
-    sums = ("upsilon", upsilon, dearest), ("switch_cost", run.switch_cost, run.horizon)
-    for name, price, times in sums:
-        if not math.isfinite(price * float(times)):
-            raise ValueError(f"{name}: the costs overflow, found {price:g}")
-    suite, weight = prices.priced(suite, upsilon, run.cost)
-    posed = (Psi, suite.mean, suite.variance, suite.cost, run.alpha, run.beta * weight)
-    switch_cost = run.switch_cost * (1 - np.eye(len(suite.names))) if run.switch_cost else None
-    problem = SelectionProblem(*posed, switch_cost=switch_cost, budget=run.budget)
-    started = perf_counter()
-    optimal = ms.solve(problem)
-    seconds = perf_counter() - started
+    run, known = _known(run, landing, trained, streams[0])
+    _, suite, gains, problem, optimal, seconds, _ = known[-1]
 
     s = landing.draw_inputs(streams[1], run.trials)
     errors = perception.sample_errors(suite, run.trials, streams[2])
     bar = perception.with_bar(errors, "Clairvoyant", progress)
     flown = {}
     for policy, choices in policies(problem, optimal.choices, bar, streams[3]).items():
-        altitude, control = fly(landing, run.information, s, errors, choices)
+        altitude, control = fly(landing, run.information, s, errors, choices, gains)
         paid = np.zeros(run.trials) + (0 if choices is None else problem.perception_term(choices))
         reward = -run.alpha * control - problem.beta * paid
         flown[policy] = Flights(choices, altitude, control, paid, reward)
-    used = replace(run, upsilon=upsilon)
-    return Result(used, landing, suite, problem, optimal, seconds, flown, trained)
+    given = (run, landing, suite, problem, optimal, seconds, flown, trained)
+    return Result(*given, stages=tuple(known))
 
 
 # --------------------------------------------------------------------- models trained on pictures
@@ -370,11 +447,13 @@ def fly_on_pictures(result: Result, s: Array, choices: Choices, seed: int) -> tu
     altitude (trials, H+1), control cost (trials,), error s_hat - s (trials, H, 1).
     """
     check_class("result", result, "Result")
-    networks, information = _learned(result).networks, result.settings.information
-    return flights.fly_by_sight(result.landing, networks, information, s, choices, seed)
+    _learned(result)
+    stage, information = result.stages[-1], result.settings.information
+    given = (result.landing, stage.skill.readers, information, s, choices, seed)
+    return flights.fly_by_sight(*given, gains=stage.gains)
 
 
-FLOWN = ("Optimal", "Guarded", "Random", "All Large", "All Small")
+FLOWN = ("Optimal", "Guarded", "Best Single", "Greedy", "Random", "All Large", "All Small")
 
 
 def judge_on_pictures(
@@ -389,24 +468,53 @@ def judge_on_pictures(
     check_class("result", result, "Result")
     for policy in policies:
         check_name("policies", policy, FLOWN)
-    trained = _learned(result)
-    run, limits = result.settings, {}
+    trained, run, limits = _learned(result), result.settings, {}
     if run.upsilon and run.cost != "latency":  # milliseconds stay what they are
-        rule = cost_scale(ms.psi(result.landing.task, information), result.suite)
+        first = result.stages[0].suite
+        gains = gains_for(result.landing, information, first)
+        rule = cost_scale(ms.psi(result.landing.task, information, gains=gains), first)
         limits = {k: v and v * (rule / run.upsilon) for k, v in asdict(run).items() if k in LIMITS}
     run = replace(run, information=information, upsilon=None, **limits)
-    result = run_experiment(run, trained=trained)
+    result = run_experiment(replace(run, trials=1), trained=trained)  # few for Clairvoyant to solve
+    result = replace(result, settings=replace(result.settings, trials=run.trials))
     landing, problem, suite = result.landing, result.problem, result.suite
+    gains, able = result.stages[-1].gains, result.stages[-1].skill
     _, inputs, gaussian, _, bootstrap = np.random.default_rng(run.seed).spawn(5)
     s = landing.draw_inputs(inputs, run.trials)
-    redrawn = flights.redraw_errors(landing, trained.residuals, run.trials, bootstrap)
-    drawn = perception.sample_errors(suite, run.trials, gaussian), redrawn
+    given = (able.seen, landing.path[:-1], run.trials, bootstrap, FITS[run.fit])
+    drawn = perception.sample_errors(suite, run.trials, gaussian), pooling.redraw(*given)
     choices = {policy: np.asarray(flown.choices) for policy, flown in result.flights.items()}
     choices["Guarded"] = ms.solve(flights.pose(problem, perception.guard_suite(suite))).choices
     bar = perception.with_bar(policies, f"Flights ({information})", progress)
-    given = (landing, trained.networks, information, problem)
+    plan = (landing, able.readers, information, problem)
+    way = (s, drawn, run.seed, gains)
     judged = (k for k in bar if k in choices)  # a budget leaves some out
-    return result, {k: flights.judge(*given, choices[k], s, drawn, run.seed) for k in judged}
+    return result, {k: flights.judge(*plan, choices[k], *way) for k in judged}
+
+
+RIVALS = ("Optimal", "Best Single", "Greedy")
+
+
+def fly_stages(
+    result: Result, trials: int | None = None, *, progress: bool = False
+) -> dict[str, stages.Flown]:
+    """Fly what is best at every stage of a run, and its `RIVALS`, by sight and in as many `trials`.
+
+    By default they are those of the run, through its inputs; scenes are the same at every stage.
+    """
+    check_class("result", result, "Result")
+    run, landing, found = result.settings, result.landing, {}
+    held_out = len(pooling.labelled(_learned(result).residuals).altitude)
+    s = landing.draw_inputs(np.random.default_rng(run.seed).spawn(2)[1], trials or run.trials)
+    for stage in perception.with_bar(result.stages, "Stages", progress):
+        best, problem = stage.optimal.choices, stage.problem
+        chosen: Any = policies(problem, best, [], np.random.default_rng(run.seed))
+        chosen = {k: np.asarray(c) for k, c in chosen.items() if k in RIVALS}
+        given = (landing, stage.skill.readers, run.information, problem, chosen, s, run.seed)
+        flown = stages.fly_rivals(*given, stage.gains)
+        labels = stage.skill.seen, held_out, np.asarray(problem.psi), best
+        found[stage.name] = flown._replace(labelled=stages.regret_of_labels(*labels))
+    return found
 
 
 SIZES = (50, 100, 400, 897)
@@ -422,7 +530,7 @@ def sample_sizes(
     check_class("result", result, "Result")
     given = (result.landing, _learned(result), result.problem, ms.solve)
     rng = np.random.default_rng([result.settings.seed, 1])
-    return flights.regret_of_few(*given, rng, sizes, repeats, fresh)
+    return flights.regret_of_few(*given, rng, sizes, repeats, fresh, FITS[result.settings.fit])
 
 
 # ---------------------------------------------------------------------------------- the report
@@ -522,12 +630,16 @@ def report_pictures(result: Result, *, progress: bool = False) -> str:
     sizes = np.array([(network.parameters, network.multiply_adds) for network in networks])
     parts = [tables.table_of_errors(residuals.names, sizes, rms, edges, by_altitude)]
     within_reach = flights.sensitivities(result.landing.task)
-    patterns = [name for name in within_reach if not ms.PATTERNS[name].foresight]
+    rows = ms.PATTERNS.items()
+    patterns = [k for k, row in rows if not row.foresight and (row.gains or k in within_reach)]
     for information in sorted(patterns, key=lambda name: name != run.information):
         flown = ("Optimal", "All Large", "All Small") if len(parts) > 1 else FLOWN
         judged, found = judge_on_pictures(result, information, flown, progress=progress)
         compared = flights.compare(found, run.alpha, judged.problem.beta)
         parts += [tables.table_of_regrets(information, list(found), *compared, UNITS[run.cost])]
+    at_stages = fly_stages(result, progress=progress)
+    came = stages.by_stage(at_stages.values())
+    parts += [tables.table_of_stages(list(at_stages), *came, run.trials)]
     counts = [n for n in SIZES if n <= len(altitude)]
     regret = sample_sizes(result, counts)
     shares = np.array([flights.estimate(*pair) for pair in regret])
@@ -554,7 +666,7 @@ def report_measured(result: Result) -> str:
     paid = {k: problem.beta * float(problem.perception_term(c)) for k, c in chosen.items()}
     totals = {k: run.alpha * lost[k] + paid[k] for k in chosen}
     promised = {k: float(problem.control_term(c)) for k, c in chosen.items()}
-    return "\n".join(tables.table_of_measured(promised, lost, totals, measured.leads(totals)))
+    return "\n".join(tables.table_of_measured(promised, lost, totals, flights.leads(totals)))
 
 
 def summary(result: Result) -> dict[str, Any]:
@@ -566,7 +678,7 @@ def summary(result: Result) -> dict[str, Any]:
         for quantity, (mean, half) in zip(QUANTITIES, rows, strict=True):
             interval = None if math.isnan(half) else [mean - half, mean + half]
             policies[policy] |= {quantity: mean, f"{quantity}_interval": interval}
-    used = asdict(result.settings).items()
+    used, kept = asdict(result.settings).items(), (*LIMITS, *LEARNING)
     front = result.front and {k: np.asarray(v).tolist() for k, v in result.front._asdict().items()}
     return {
         "policies": policies,
@@ -574,7 +686,7 @@ def summary(result: Result) -> dict[str, Any]:
         "lower_bound": result.optimal.lower_bound,
         "gap": result.optimal.gap,
         "solve_seconds": result.seconds,
-        "settings": {k: v for k, v in used if k not in LIMITS or v != getattr(Settings, k)},
+        "settings": {k: v for k, v in used if k not in kept or v != getattr(Settings, k)},
     } | ({"front": front} if front else {})
 
 

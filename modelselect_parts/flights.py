@@ -1,31 +1,23 @@
 """Flights: with errors out of a table, by sight, and what the difference rests on.
 
 A schedule is chosen by a table of errors.  `fly` draws errors from that table, or from any other
-array; in `fly_by_sight` a drone takes a picture at every step, from where its errors so far have
-led it, and acts on what the scheduled network reads off it.  The table was measured on other
-pictures: `judge` tells how far its promise is kept, `regret_of_few` how many pictures it takes.
+array; in `fly_by_sight` a drone sees for itself, from where its errors so far have led it.  The
+table was measured on other pictures: `judge` tells how far its promise is kept, `regret_of_few` how
+many pictures it takes.
 """
 
 from __future__ import annotations
 
 import math
-import warnings
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.special import stdtrit
 
-from modelselect_parts.camera import (
-    HIGHEST,
-    LOWEST,
-    Pictures,
-    draw_pose,
-    draw_scenes,
-    photograph,
-)
+from modelselect_parts.camera import LOWEST, Pictures, draw_pose, draw_scenes, photograph
 from modelselect_parts.checks import (
     Array,
     Choices,
@@ -35,42 +27,27 @@ from modelselect_parts.checks import (
     check_count,
     check_range,
 )
+from modelselect_parts.pooling import (
+    Labelled,
+    binned_suite,
+    bootstrapped,
+    labelled,
+    pooled_suite,
+)
 from modelselect_parts.regulator import (
     PATTERNS,
     ControlTask,
     check_information,
     control_cost,
     psi,
-    roll_out,
     run_controller,
 )
-from perception import (
-    Network,
-    PerceptionSuite,
-    Residuals,
-    Trained,
-    altitude_bins,
-    bootstrap_errors,
-    fit_suite,
-    guard_suite,
-    measure_models,
-)
+from modelselect_parts.sight import Aircraft, Reader, fly_by_sight
+from perception import PerceptionSuite, Residuals, Trained, guard_suite, measure_models
 
 Rng = np.random.Generator
 BINS = 20  # of altitude: the 897 held-out pictures leave some 35 along the way in each
-MOST_PITCH = 0.2  # rad that the mount of the camera turns with the drone
 FRESH = 2000  # pictures that judge a schedule, seen by no model before
-
-
-@dataclass(frozen=True, eq=False)
-class Aircraft:
-    """What lands.  States: altitude less the path, its rate, pitch, its rate."""
-
-    task: ControlTask
-    x0: Array  #: (n,), initial state
-    prior_mean: Array  #: (H, p), expectation of s: all that a causal controller foresees
-    path: Array  #: (H+1,), altitude = path + first state
-    dt: float  #: seconds a step
 
 
 # ----------------------------------------------------------------------- means, and how sure
@@ -116,18 +93,27 @@ def by_network(residuals: Residuals) -> tuple[Array, Array]:
 
 
 def fit_landing(
-    landing: Aircraft, measured: Residuals, cost: Array, bins: int = BINS, *, guard: bool = False
+    landing: Aircraft,
+    measured: Residuals | Labelled,
+    cost: Array,
+    bins: int | None = None,
+    *,
+    guard: bool = False,
+    rng: Rng | None = None,
 ) -> PerceptionSuite:
-    """Fit a suite along a landing, in `bins` of equally many of the residuals `measured`.
+    """Fit a suite along a landing to errors that were `measured` on the same pictures.
 
-    With `guard`, its upper confidence bounds; the `cost` (W,) is passed on to `fit_suite`.
+    By nearness in ln z, or in `bins` of equally many; with `guard`, its upper confidence bounds.
+    By nearness, standard errors are those of a bootstrap over groups of pictures, if there is a
+    generator for it.  The `cost` (W,) is passed on to `fit_suite`.
     """
     check_class("landing", landing, "Aircraft")
-    check_class("measured", measured, "Residuals")
-    h = landing.path[:-1]
-    with warnings.catch_warnings():  # pictures are taken from further than a short way leads
-        warnings.filterwarnings("ignore", "fit_suite: .* residuals count along this trajectory")
-        suite = fit_suite(measured, h, cost, bins=altitude_bins(measured.altitude, h, bins))
+    pictures, path = labelled(measured), landing.path[:-1]
+    if bins is not None:
+        suite = binned_suite(pictures, path, cost, bins)
+    else:
+        suite = pooled_suite(pictures, path, cost)
+        suite = suite if rng is None else bootstrapped(suite, pictures, path, rng)
     return guard_suite(suite) if guard else suite
 
 
@@ -140,13 +126,6 @@ def errors_by_altitude(altitude: Array, errors: Array) -> tuple[Array, Array, Ar
     place = np.digitize(altitude, edges)
     parts = [[root_mean_square(e[place == b])[0] for b in range(1, len(edges))] for e in errors]
     return np.array(list(map(root_mean_square, errors))), edges, np.array(parts)
-
-
-def redraw_errors(landing: Aircraft, measured: Residuals, trials: int, rng: Rng) -> Array:
-    """Draw errors (trials, H, W, 1) from the residuals that `fit_landing` takes its moments of."""
-    h = landing.path[:-1]
-    edges = altitude_bins(measured.altitude, h, BINS)
-    return bootstrap_errors(measured, h, trials, rng, bins=edges)
 
 
 # ------------------------------------------------------------------------------ the flight
@@ -162,12 +141,17 @@ def sensitivities(task: ControlTask) -> dict[str, Array]:
 
 
 def fly(
-    landing: Aircraft, information: str, s: Array, errors: Array, choices: Choices | None
+    landing: Aircraft,
+    information: str,
+    s: Array,
+    errors: Array,
+    choices: Choices | None,
+    gains: Array | None = None,
 ) -> tuple[Array, Array]:
     """Roll out all trials of a landing; return altitudes (trials, H+1), control costs (trials,).
 
     s is (trials, H, p), errors of all models are (trials, H, W, p), choices (H,), (trials, H), or
-    None for estimates without error; `information` is a pattern.
+    None for estimates without error; `information` is a pattern, and `gains` are what it takes.
     """
     check_class("landing", landing, "Aircraft")
     task = landing.task
@@ -184,52 +168,8 @@ def fly(
     check_information(information)
     row = PATTERNS[information]
     prior = landing.prior_mean if row.now and not row.foresight else None
-    x, u = run_controller(task, landing.x0, s, s + error, information, prior)
+    x, u = run_controller(task, landing.x0, s, s + error, information, prior, gains=gains)
     return landing.path + x[..., 0], control_cost(task, x, u)
-
-
-def fly_by_sight(
-    landing: Aircraft,
-    networks: Sequence[Network],
-    information: str,
-    s: Array,
-    choices: Choices,
-    seed: int,
-) -> tuple[Array, Array, Array]:
-    """Land by what the scheduled networks see; return altitude, control cost and errors.
-
-    At every step each trial takes a picture from its true altitude and pitch, and acts on what the
-    network makes of it.  The scene of a landing stays the same, but for what moves and shakes: so
-    errors depend on the state, and on those before.  Beyond its range the camera sees what it sees
-    at the end of it, and its mount turns by `MOST_PITCH`.
-
-    True inputs s are (N, H, 1) and `choices` (H,); the `seed` of the scenes is the same for all
-    policies.  Altitudes are (N, H+1), costs (N,), errors s_hat - s (N, H, 1).
-    """
-    check_information(information)
-    if PATTERNS[information].foresight:
-        raise ValueError(f"information: a flight has no forecast, found {information!r}")
-    task, path = landing.task, landing.path
-    s = check_array("s", s, "trials H p", (None, task.horizon, task.p))
-    check_array("choices", choices, "H", (task.horizon,))
-    models = check_choices(choices, task.horizon, len(networks))
-    seed, N = check_count("seed", seed, minimum=0, top=math.inf), len(s)
-    rng, errors = np.random.default_rng(seed), np.empty_like(s)
-    scene = draw_scenes(N, rng)
-
-    def look(t: int, x: Array) -> Array:
-        h, network = path[t] + x[:, 0], networks[models[t]]
-        pitch, seconds = np.clip(x[:, 2], -MOST_PITCH, MOST_PITCH), t * landing.dt
-        shaken, within = scene._replace(pose=draw_pose(N, rng)), np.clip(h, LOWEST, HIGHEST)
-        # Noise of its own stream, so that all policies meet the same poses.
-        noise = np.random.default_rng([seed, t])
-        picture = photograph(shaken, within, network.side, noise, pitch=pitch, seconds=seconds)
-        errors[:, t, 0] = network.altitude(picture) - h
-        return errors[:, t]
-
-    expected = landing.prior_mean[None] * PATTERNS[information].now
-    x, u = roll_out(task, landing.x0, s, look, information, expected)
-    return path + x[..., 0], control_cost(task, x, u), errors
 
 
 def photograph_landings(seed: int) -> tuple[Array, list[Pictures]]:
@@ -262,22 +202,26 @@ class Regret(NamedTuple):
 
 def judge(
     landing: Aircraft,
-    networks: Sequence[Network],
+    readers: Sequence[Reader],
     information: str,
     problem: Any,
     choices: Choices,
     s: Array,
     drawn: Sequence[Array],
     seed: int,
+    gains: Array | None = None,
 ) -> Regret:
     """Fly a schedule (H,) through the same inputs (trials, H, 1) in three ways.
 
     With errors (trials, H, W, 1) as they are `drawn` of the suite and of its residuals, and by
     sight; the promise is that of the `problem`, and the `seed` that of the scenes.
     """
-    ideal = fly(landing, information, s, drawn[0], None)[1]
-    gaussian, bootstrap = (fly(landing, information, s, e, choices)[1] - ideal for e in drawn)
-    flown = fly_by_sight(landing, networks, information, s, choices, seed)[1] - ideal
+    ideal, *ways = (
+        fly(landing, information, s, errors, c, gains)[1]
+        for errors, c in [(drawn[0], None), *((e, choices) for e in drawn)]
+    )
+    gaussian, bootstrap = (cost - ideal for cost in ways)
+    flown = fly_by_sight(landing, readers, information, s, choices, seed, gains=gains)[1] - ideal
     predicted, paid = problem.control_term(choices), problem.perception_term(choices)
     return Regret(float(predicted), gaussian, bootstrap, flown, float(paid))
 
@@ -298,6 +242,19 @@ def compare(found: Mapping[str, Regret], alpha: float, beta: float) -> tuple[Arr
     return expected, np.array([estimate(*r[1:4]) for r in found.values()]), np.array(gains)
 
 
+def leads(totals: Mapping[str, Array]) -> dict[str, tuple[float, float]]:
+    """Return by what share Optimal's mean total lies below the others', with half of its interval.
+
+    Of paired flights: the interval of the mean difference, as a share of the other's mean.
+    """
+    found = {}
+    for policy, total in totals.items():
+        if policy != "Optimal":
+            saved, half = estimate(total - totals["Optimal"])[0]
+            found[policy] = saved / total.mean(), half / total.mean()
+    return found
+
+
 def pose(problem: Any, suite: PerceptionSuite) -> Any:
     """Return the same selection problem with the errors of another suite."""
     return replace(problem, mean=suite.mean, variance=suite.variance)
@@ -312,13 +269,15 @@ def regret_of_few(
     sizes: Sequence[int],
     repeats: int,
     fresh: int,
+    bins: int | None,
 ) -> Array:
     """Return the regret of schedules fitted on few residuals (sizes, 2, repeats).
 
     Of the held-out pictures n are drawn and a suite is fitted, as it is or guarded; the schedule
     that is optimal for it is judged by a suite of `fresh` new pictures.  Regret is the total cost
     beyond that of the optimum of the latter, as a share of it: a little too much, as that one has
-    had some luck as well.  `problem` is that of `modelselect`, and `solve` its solver.
+    had some luck as well.  `problem` is that of `modelselect`, and `solve` its solver; fits are by
+    nearness, or in at most so many `bins` that about ten residuals are left in each.
     """
     (networks, _, old), cost = trained, problem.model_cost
     fresh, repeats = check_count("fresh", fresh), check_count("repeats", repeats)
@@ -326,15 +285,15 @@ def regret_of_few(
     W, M = len(networks), len(old.residual) // len(networks)
     if max(counts) > M:
         raise ValueError(f"sizes: expected numbers up to the {M} residuals, found {sizes}")
-    truth = pose(problem, fit_landing(landing, measure_models(networks, fresh, rng), cost))
+    truth = pose(problem, fit_landing(landing, measure_models(networks, fresh, rng), cost, bins))
     least = solve(truth).cost
     table = np.empty((len(counts), 2, repeats))
     for i, k in np.ndindex(len(counts), repeats):
         chosen = rng.permutation(M)[: counts[i]]
         rows = (M * np.arange(W)[:, None] + chosen).ravel()
         few = Residuals(old.names, old.model[rows], old.altitude[rows], old.residual[rows])
-        bins = min(BINS, max(2, counts[i] // 12))  # which leaves about ten residuals in each
-        for j, guard in enumerate((False, True)):
-            suite = fit_landing(landing, few, cost, bins, guard=guard)
+        parts = bins and min(bins, max(2, counts[i] // 12))
+        for j, redrawn in enumerate((None, rng)):
+            suite = fit_landing(landing, few, cost, parts, guard=j == 1, rng=redrawn)
             table[i, j, k] = truth.total_cost(solve(pose(problem, suite)).choices) / least - 1
     return table

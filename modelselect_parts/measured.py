@@ -9,7 +9,7 @@ model is its median time; where it gives nothing, a prior acts in its place.
 from __future__ import annotations
 
 import pathlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -17,11 +17,11 @@ import numpy as np
 
 import modelselect as ms
 from modelselect_parts.checks import Array, Choices, check_class
-from modelselect_parts.flights import Aircraft, estimate
 from modelselect_parts.kernels import Kernel
 from modelselect_parts.measurements import Residuals, read_residuals, rows_of
 from modelselect_parts.regulator import PATTERNS, roll_out
 from modelselect_parts.residuals import fit_suite
+from modelselect_parts.sight import Aircraft
 from modelselect_parts.suites import PerceptionSuite, with_dropouts
 
 Rng = np.random.Generator
@@ -131,16 +131,3 @@ def regret(
         return np.asarray(ms.control_cost(task, x, u))
 
     return cost(look, told) - cost(lambda t, x: none[:, t], none)
-
-
-def leads(totals: Mapping[str, Array]) -> dict[str, tuple[float, float]]:
-    """Return by what share Optimal's mean total lies below the others', with half of its interval.
-
-    Of paired flights: the interval of the mean difference, as a share of the other's mean.
-    """
-    found = {}
-    for policy, total in totals.items():
-        if policy != "Optimal":
-            saved, half = estimate(total - totals["Optimal"])[0]
-            found[policy] = saved / total.mean(), half / total.mean()
-    return found

@@ -56,11 +56,14 @@ class Parser(argparse.ArgumentParser):
     ) -> None:
         """Add an option a field, with its default in `values`, as `said` where None says nothing.
 
-        A field of `names` is one of those that are known.
+        A field of `names` is one of those that are known; one that is False is switched on.
         """
         kinds: dict[type, Callable[[str], Any]] = {int: whole, float: real, type(None): real}
         for name, value in values.items():
             flag, known = f"--{name.replace('_', '-')}", names.get(name)
+            if value is False:
+                self.add_argument(flag, action="store_true", help=said.get(name))
+                continue
             kind, default = kinds.get(type(value), str), said.get(name, value)
             about = f"default: {default}"
             self.add_argument(flag, type=kind, choices=known, default=value, help=about)

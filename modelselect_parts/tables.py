@@ -172,6 +172,37 @@ def table_of_sizes(sizes: Sequence[int], regret: Array, draws: int, fresh: int) 
     return lines
 
 
+def table_of_stages(
+    stages: Sequence[str],
+    promised: Array,
+    came: Array,
+    leads: Sequence[Mapping[str, tuple[float, float]]],
+    trials: int,
+) -> list[str]:
+    """Lines on what each stage promised (stages,), and what came of it in `trials` by sight.
+
+    What `came` are estimates (stages, 3, 2) of regret by labelled landings, NaN without, and of
+    regret and total in flight; `leads` say by what share Optimal's total lies below the others'.
+    """
+    heads = ["promised", "by labels", "flown regret", "flown total"]
+    heads += [f"below {policy}, %" for policy in leads[0]]
+    lines = [f"Optimal at every stage, flown on pictures in {trials} trials, the same for all"]
+    lines += [" " * 12 + "".join(f"{head:>24}" for head in heads)]
+
+    def cell(mean: float, half: float, digits: int = 1) -> str:
+        known = "-" if math.isnan(mean) else f"{mean:.{digits}f} ± {half:.{digits}f}"
+        return known.replace("nan", "-")
+
+    for stage, promise, row, ahead in zip(stages, promised, came, leads, strict=True):
+        cells = [f"{promise:.1f}", *(cell(*pair) for pair in row)]
+        for mean, half in ahead.values():
+            mark = "?" if undecided(mean, half) else ""
+            cells.append(cell(100 * mean, 100 * half) + mark)
+        lines.append(f"{stage:12}" + "".join(f"{text:>24}" for text in cells))
+    left = any(undecided(*pair) for ahead in leads for pair in ahead.values())
+    return lines + ["? undecided: 0 is in the interval, or it is one of a single trial."] * left
+
+
 def table_of_percentages(
     compared: Sequence[tuple[str, str, str, str]],
     quantities: Sequence[str],

@@ -170,7 +170,6 @@ def test_relabelled_nodes_give_the_same_optimum(information):
         [[0, 1], [1]],
         None,
     ],
-    ids=str,
 )
 def test_what_is_no_graph_is_refused_in_one_line(adjacency):
     for rest in ((), ("preview",)):
