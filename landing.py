@@ -587,22 +587,48 @@ def write_percentages(result: Result, path: Path) -> None:
     write_atomically(path, tables.as_csv(percentages(result)).encode())
 
 
+#: What the command line says of the fields of `Settings`, and of all Pareto points.
+ABOUT = {
+    "experiment": "whose errors: the paper's formulas, networks that learn from rendered pictures, "
+    "or a detector measured on them; the last two have other defaults",
+    "preset": "whose aircraft",
+    "information": "what the controller knows, and when: see modelselect.PATTERNS",
+    "horizon": "steps of a landing",
+    "trials": "landings",
+    "alpha": "weight of control cost",
+    "beta": "weight of perception cost",
+    "upsilon": "price of one model up",
+    "cost": "prices of models: w * upsilon; counted operations; or milliseconds a picture "
+    "(EfficientNet's on an i7-12700H, a detector's own), the dearest as dear beside control cost "
+    "as at w * upsilon",
+    "seed": "of everything random",
+    "switch_cost": "price of changing models, in units of the prices: ms if those are latency",
+    "budget": "the most that perception may cost on a landing, switches included, in those units",
+    "front": "find all Pareto points (under the budget), or as many as so many seconds prove; say "
+    "how many weights alpha : beta reach, and what the best of those costs beside the best",
+}
+
+
 def _parser() -> options.Parser:
     """Make a parser of the fields of `Settings`, and of where to write what."""
     about = "Land an aircraft, choosing perception models."
     parser = options.Parser("landing.py", usage=argparse.SUPPRESS, description=about)
     unset = {"upsilon": "as the preset", "budget": "none"}
     fields = {k: v for k, v in asdict(Settings()).items() if k != "residuals"}
-    parser.add_fields(fields, _names(), unset)
+    parser.add_fields(fields, _names(), unset, ABOUT)
+    about = "CSV for experiment measured, with the columns of notebooks/data/tags.csv, the default"
+    parser.add_argument("--residuals", type=options.place, metavar="FILE", help=about)
+    parser.add_argument("--front", type=options.real, metavar="SECONDS", help=ABOUT["front"])
+    about = "where figures and percentages.csv go; default: figures"
     parser.add_argument(
-        "--residuals", type=options.place, metavar="FILE", help="CSV; measured ones"
+        "--out", type=options.place, default="figures", metavar="FOLDER", help=about
     )
-    about = "find all Pareto points, or as many as so many seconds prove"
-    parser.add_argument("--front", type=options.real, metavar="SECONDS", help=about)
-    parser.add_argument("--out", type=options.place, default="figures", metavar="FOLDER")
-    parser.add_argument("--json", type=options.place, metavar="FILE")
-    parser.add_argument("--no-figures", action="store_true")
-    parser.add_argument("--quiet", action="store_true")
+    about = "write means, intervals, schedule and settings"
+    parser.add_argument("--json", type=options.place, metavar="FILE", help=about)
+    parser.add_argument(
+        "--no-figures", action="store_true", help="write no figures, no percentages"
+    )
+    parser.add_argument("--quiet", action="store_true", help="print nothing")
     return parser
 
 

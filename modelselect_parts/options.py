@@ -53,17 +53,18 @@ class Parser(argparse.ArgumentParser):
         values: Mapping[str, Any],
         names: Mapping[str, Collection[str]],
         said: Mapping[str, str],
+        about: Mapping[str, str],
     ) -> None:
         """Add an option a field, with its default in `values`, as `said` where None says nothing.
 
-        A field of `names` is one of those that are known.
+        A field of `names` is one of those that are known; what each is `about` is its help.
         """
         kinds: dict[type, Callable[[str], Any]] = {int: whole, float: real, type(None): real}
         for name, value in values.items():
             flag, known = f"--{name.replace('_', '-')}", names.get(name)
             kind, default = kinds.get(type(value), str), said.get(name, value)
-            about = f"default: {default}"
-            self.add_argument(flag, type=kind, choices=known, default=value, help=about)
+            words = f"{about[name]}; default: {default}"
+            self.add_argument(flag, type=kind, choices=known, default=value, help=words)
 
     def error(self, message: object) -> NoReturn:
         """End with status 2, after the `message` on one line."""
