@@ -52,12 +52,12 @@ for x in (3.2, 6.6):
     axes.text(x, 0.8, "+", ha="center", va="center", fontsize=20)
 axes.plot([11.7, 11.7, 1.5], [4.6, 5.6, 5.6], color="black", lw=2)
 axes.annotate("", (1.5, 4.6), (1.5, 5.6), arrowprops=arrow)
-memory = dict(arrow, color=RED, connectionstyle="arc3,rad=1.1")
-axes.annotate("", (7.5, 3.4), (9.1, 3.4), arrowprops=dict(memory, connectionstyle="arc3,rad=-0.9"))
-axes.text(8.3, 2.3, "an error stays", color=RED, ha="center", fontsize=14)
+memory = dict(arrow, color=RED, connectionstyle="arc3,rad=-0.9")
+axes.annotate("", (7.5, 3.4), (9.1, 3.4), arrowprops=memory)
+axes.text(8.3, 2.25, "a part of each error stays", color=RED, ha="center", fontsize=14)
 axes.plot([11.7, 11.7, 4.9], [1.4, 1.95, 1.95], color=ORANGE, lw=2.5)
 axes.annotate("", (4.9, 3.4), (4.9, 1.95), arrowprops=dict(arrow, color=ORANGE, lw=2.5))
-axes.text(5.1, 2.15, "JSON; anew at every step", color="#9a6a00", fontsize=14)
+axes.text(8.3, 1.57, "JSON; anew at every step", color="#9a6a00", ha="center", fontsize=14)
 axes.set(xlim=(0, 13.2), ylim=(0, 5.9))
 axes.axis("off")
 plt.show()
@@ -179,7 +179,7 @@ wrong = np.einsum("tmn,tn->tm", law.K, beliefs(e))
 np.testing.assert_allclose(np.einsum("ti,tij,tj->", wrong, law.S, wrong), e @ Psi @ e)
 
 # %% [markdown]
-# An error is felt for ten steps, two seconds. Biases of opposite sign meet in there.
+# An error meets those of the next ten steps, two seconds.
 #
 # ## The schedule
 #
@@ -201,7 +201,8 @@ for name, c in schedules.items():
     print(f"{name:15}", "".join(map(str, c)), f"{free.total_cost(c):.2f}")
 print(f"plan: {plan.cost:.3f}, gap {plan.gap:.0e}, carried by {plan.proof}; spends", end=" ")
 print(f"{problem.perception_term(plan.choices):.0f} ms; one more saves {plan.multiplier:.4f}")
-assert plan.is_optimal and free.total_cost(schedules["greedy"]) > 1.25 * ms.solve(free).cost
+dearer = free.total_cost(schedules["greedy"]) / free.total_cost(schedules["optimum"])
+assert plan.is_optimal and 1.3 < dearer < 1.33
 
 # %% alt="Above, the detector of each step against altitude, from 80 feet on the left to 11: the optimum uses number 5, with a few steps of 1 in between, then 4 and 2 in turn; the plan within the budget leaves 5 much earlier. Below, the mean error of the optimum's detectors jumps between -0.5 and 1.5 feet, while the mean error of the belief stays within 0.2 feet of zero; that of greedy lies between -0.3 and -0.1 for half of the way." tags=["hide-input"]
 figure, (top, bottom) = plt.subplots(2, sharex=True, figsize=(11, 7), height_ratios=[3, 2])
@@ -211,7 +212,8 @@ for (name, c), marker, colour, off in zip(
 ):
     top.plot(h, c + off, marker, color=colour, ms=6, label=name)
 top.set(yticks=range(6), yticklabels=[f"{w}: {n}" for w, n in enumerate(suite.names)])
-top.legend(loc="lower right", fontsize=13)
+top.set_ylim(-1.5, 5.5)
+top.legend(loc="lower center", ncols=3, fontsize=13)
 top.set_title("Opposite biases take turns, and the belief stays right")
 chosen = free.chosen_mean(schedules["optimum"])
 bottom.step(h, chosen, where="mid", color=GREY, label="error of the detector")
@@ -222,3 +224,282 @@ bottom.set(xlabel="altitude (ft)", ylabel="mean (ft)")
 bottom.invert_xaxis()
 bottom.legend(fontsize=13)
 plt.show()
+
+# %% [markdown]
+# Greedy judges each step by itself and pays almost a third more: number 5 reads low throughout, and
+# the filter adds that up. The optimum slips in a cheap look that reads high. The budget drives
+# number 5 out early.
+#
+# ## The message
+#
+# A schedule travels as strict JSON. The robot derives cost and root bound anew, and refuses a message
+# that does not add up. What lies between root bound and cost is the search's word (notebook 3).
+
+# %%
+message = plan.to_json()
+received = ms.Schedule.from_json(message)
+bound = ms.check_certificate(problem, received)
+print(f"{len(message)} characters; root bound {bound:.3f}, cost {received.cost:.3f}")
+forged = replace(received, choices=np.full(H, 4))
+try:
+    ms.check_certificate(problem, forged)
+except ValueError as error:
+    print("refused:", str(error)[:70])
+else:
+    raise AssertionError("a forged schedule passed")
+
+# %% [markdown]
+# ## The rehearsal
+#
+# 1,000 descents in still air, on errors of the views that were kept back. **Predict**: which
+# promises hold?
+
+
+# %%
+def draw(residuals, N, rng):
+    """Draw errors (N, H, W, 1) from residuals; where nothing was seen, the barometer's."""
+    errors = pc.bootstrap_errors(residuals, path, N, rng, kernel=kernel)
+    gone = rng.random(errors.shape[:3]) < suite_of(residuals)[1]
+    return np.where(gone[..., None], 3 * rng.standard_normal((N, H, 1, 1)), errors)
+
+
+def fly(errors, c):
+    """Return the control cost (N,) of flights under a schedule."""
+    e = errors[:, np.arange(H), c]
+    states, controls = ms.run_controller(task, [0, 0], 0 * e, e, "filter", gains=gains)
+    return ms.control_cost(task, states, controls)
+
+
+unseen = draw(other, 1000, np.random.default_rng(0))
+again = replace(free, mean=suite_of(other)[0].mean, variance=suite_of(other)[0].variance)
+totals = {}
+print("control cost:   promised  by the other views   flown         total")
+for name, c in schedules.items():
+    flown, spent = fly(unseen, c), free.perception_term(c) / 1000
+    totals[name], half = flown + spent, 1.96 * flown.std() / 1000**0.5
+    hindsight = float(again.control_term(c))
+    print(f"{name:15} {free.control_term(c):8.2f} {hindsight:18.2f}", end="")
+    print(f" {flown.mean():12.2f} ± {half:.2f} {flown.mean() + spent:8.2f}")
+    assert abs(flown.mean() - hindsight) < 2 * half
+    assert abs(flown.mean() / free.control_term(c) - 1) < 0.155
+for name in ("greedy", "best single"):
+    saved = totals[name] - totals["optimum"]
+    assert saved.mean() > 3 * saved.std() / 1000**0.5
+
+# %% [markdown]
+# What was flown is what the **other** views predict: the formula holds. The promises of the fitted
+# half are off by up to 15%, either way: 800 views leave that open (`guard_suite` is for those who
+# must not be let down). The order stands: the optimum costs less in flight than greedy and any one
+# detector.
+#
+# ## Planning anew
+#
+# At every step the robot plans the rest of the descent again. The rest of $\Psi$ is its lower right
+# block, and what the filter already believes wrongly is the pull $2\Psi_{\mathrm{rest,past}}\,
+# \mu_{\mathrm{past}}$. `receding_horizon` keeps the books: budget left, detector in memory. At step 20
+# number 4 breaks.
+
+# %%
+prices = problem.model_cost  # (H, W)
+
+
+def descend(breaks=H, remember=True):
+    """Plan at each step, run the first detector of each plan; return what ran, and the plans."""
+    ran, plans = [], []
+
+    def outlook(t):
+        now = prices[t:].copy()
+        now[:, [4] if t >= breaks else []] = np.inf
+        pull = 2 * remember * Psi[t:, :t] @ problem.mean[np.arange(t), ran, 0]
+        rest = {"psi": Psi[t:, t:], "mean": problem.mean[t:], "variance": problem.variance[t:]}
+        return replace(problem, **rest, model_cost=now, pull=pull[:, None], budget=None)
+
+    for t, found in enumerate(ms.receding_horizon(outlook, H, budget=problem.budget)):
+        spent = prices[np.arange(t), ran].sum() + 5 * np.count_nonzero(np.diff(ran))
+        books = {"budget": (1 + 1e-12) * problem.budget - spent} | ({"initial_model": ran[-1]} if t else {})
+        ms.check_certificate(replace(outlook(t), **books), found)
+        assert found.is_optimal
+        ran.append(int(found.choices[0]))
+        plans.append(found.choices)
+    return ran, plans
+
+
+known = prices.copy()
+known[20:, 4] = np.inf
+least = ms.solve(replace(problem, model_cost=known)).cost
+paid = {}
+for name, news in {"no news": (), "no pull": (H, False), "4 breaks": (20,)}.items():
+    ran, plans = descend(*news)
+    paid[name] = float(problem.total_cost(ran))
+    print(f"{name:9}", "".join(map(str, ran)), f"{paid[name]:.3f}")
+print(f"had it known beforehand that 4 would break: {least:.3f}")
+np.testing.assert_allclose(paid["no news"], plan.cost)
+assert paid["no pull"] > 1.1 * plan.cost and least <= paid["4 breaks"] < 1.05 * least
+
+# %% alt="Each row is the plan made at a step, drawn from that step to the end, in colours of the detectors. Rows above step 20 are alike: 5, then mostly 4, with two steps of 2, then 1. From step 20 on 4 is gone: 3 takes its place, with a few steps of 2, and 1 follows earlier." tags=["hide-input"]
+figure, axes = plt.subplots(figsize=(11, 6))
+for t, choices in enumerate(plans):
+    row = 0 * choices + t
+    axes.scatter(np.arange(t, H), row, c=[COLOURS[w] for w in choices], s=22, marker="s")
+for w, name in enumerate(suite.names):
+    axes.scatter([], [], color=COLOURS[w], marker="s", s=60, label=f"{w}: {name}")
+axes.axhline(19.5, color="black", ls=":")
+axes.text(0, 21.5, "4 breaks", va="center")
+axes.set(xlabel="step", ylabel="planned at step", ylim=(50, -1))
+axes.set_title("Fifty plans, each proved optimal for what was known")
+axes.legend(loc="lower left", fontsize=13)
+plt.show()
+
+# %% [markdown]
+# Where nothing new is learnt, planning anew changes nothing: each tail of an optimum is optimal,
+# **given the pull**. Without it the robot replans itself into the very drift that it had planned
+# against.
+#
+# ## Before you trust it
+#
+# | assumption | if it fails |
+# |---|---|
+# | errors of different steps are independent | `correlated_cost`, `correlated_problem` |
+# | errors depend on the path only, not on the state | fly it: `benchmarks/detectors.py` |
+# | gains are fixed beforehand | compute $\Psi$ for the gains that you run |
+# | the model is linear along the path | give $A, B, C$ a time axis |
+# | views of the file are like those in use | record anew; guard |
+#
+# Costs are expectations. They say nothing of the worst case: keep your safety monitor.
+
+# %%
+for rho in (0.3, 0.6):
+    cost = ms.correlated_cost(
+        free, schedules["optimum"], ms.autoregressive_errors(free.variance, rho)
+    )
+    print(f"if errors of neighbours correlate by {rho}: {cost:.2f}")
+
+# %% [markdown]
+# **In one paragraph.** You bring a file of residuals, five matrices with gains, prices. The pattern
+# of what your controller knows picks $\Psi$; a filter's $\Psi$ couples steps, so detectors of
+# opposite bias should take turns, and who judges step by step pays a third more. Switching costs
+# and a budget keep the certificate. The robot checks it on receipt and plans anew with the pull of
+# what it already believes. Rehearse on views that no fit has seen.
+#
+# ## Recall
+#
+# <details><summary>Why do steps couple under a filter, and not where measurements are fed back as they are?</summary>
+#
+# A part of each error stays in the belief and meets the next one. Without memory a command depends
+# on one error only.
+#
+# </details>
+# <details><summary>A flown cost differs from the promise. Which comparison says whether the formula or the file is to blame?</summary>
+#
+# Predict the flight with moments of the views that were flown. If that agrees, the formula is
+# right, and the fitted views were unlike the others.
+#
+# </details>
+# <details><summary>A crane computes its whole motion from a forecast of the swell; a ship's position is a running mean of looks; a walker sees how soft the ground is when its foot lands. Which patterns?</summary>
+#
+# `open_loop`: it never looks at the load. `filter`. `causal`: this step's input and no later one.
+#
+# </details>
+# <details><summary>What must a plan made halfway be told that one made at the start need not?</summary>
+#
+# The expected error of the belief (the pull), the detector in memory, the budget left.
+#
+# </details>
+#
+# ## Exercises
+#
+# ### Exercise 1: a file of your own
+#
+# From a log, altitudes (N,), `truth` (N,) and `reports` (N, W), NaN where a model gave nothing, make
+# `pc.Residuals` with a row for every look.
+
+
+# %% tags=["exercise"]
+def residuals_of(names, altitude, truth, reports):
+    """Return the Residuals of a log."""
+    ...
+
+
+# %% tags=["check", "skip-execution"]
+draws = np.random.default_rng(0)
+where, true = draws.uniform(5, 50, 300), draws.normal(size=300)
+reports = true[:, None] + np.array([1.0, -2.0]) + 0.1 * draws.normal(size=(300, 2))
+reports[draws.random((300, 2)) < [0.0, 0.5]] = np.nan
+answer = residuals_of(["a", "b"], where, true, reports)
+assert isinstance(answer, pc.Residuals), "Exercise 1: return pc.Residuals"
+assert len(answer.residual) == 600, "Exercise 1: a row for every look, also those without a report"
+assert answer.missed.sum() == np.isnan(reports).sum(), "Exercise 1: what gave nothing stays NaN"
+for w in (0, 1):
+    mine = answer.model == w
+    order, error = np.argsort(answer.altitude[mine]), (reports[:, w] - true)[np.argsort(where)]
+    assert np.array_equal(answer.altitude[mine][order], np.sort(where)), (
+        "Exercise 1: each model looked once at every altitude"
+    )
+    assert not np.allclose(answer.residual[mine][order], -error, equal_nan=True), (
+        "Exercise 1: a residual is what was reported less the truth"
+    )
+    assert np.allclose(answer.residual[mine][order], error, equal_nan=True), (
+        "Exercise 1: a residual stands in the wrong row; in which order do rows come?"
+    )
+print("Exercise 1: right")
+
+# %% [markdown]
+# ### Exercise 2: which two?
+#
+# Only two models fit into memory. Write `best_pair(problem)`: their indices and the optimal cost
+# with them alone (a price of `inf` locks a model out; $W \ge 2$). Then try it on `free`: which pair
+# would you load, and does it contain the best single detector?
+
+
+# %% tags=["exercise"]
+def best_pair(problem):
+    """Return (v, w), v < w, and the least cost of schedules that use no other model."""
+    ...
+
+
+# %% tags=["check", "skip-execution"]
+for seed in range(6):
+    draws = np.random.default_rng(seed)
+    means, costs = draws.normal(size=(6, 4, 1)), draws.uniform(0, 0.3, 4)
+    trial = ms.SelectionProblem(Psi[20:26, 20:26], means, 0.1 * means**2, costs)
+    everything = np.indices((4,) * 6).reshape(6, -1).T
+    total = trial.total_cost(everything)
+    expected = min(
+        (total[np.isin(everything, (v, w)).all(axis=1)].min(), v, w)
+        for v in range(4)
+        for w in range(v + 1, 4)
+    )
+    answer = best_pair(trial)
+    assert answer is not None and len(answer) == 2, "Exercise 2: return a pair and a cost"
+    pair, cost = answer
+    assert np.isclose(cost, expected[0]), (
+        f"Exercise 2: you find {cost:.4f}; the best pair costs {expected[0]:.4f}"
+    )
+    assert tuple(pair) == expected[1:], f"Exercise 2: expected {expected[1:]}, found {pair}"
+print("Exercise 2: right")
+
+# %% [markdown]
+# ### Exercise 3 (open): stronger gusts
+#
+# In stronger gusts the gains grow: the filter believes its measurements, and should forget errors.
+# Do steps then uncouple? Predict, then look at rows of $\Psi$ for gusts up to 1,000 ft/s². Build
+# `restless()`: a gust for which biases of opposite sign in turn cost more than ten times as much as one
+# bias throughout, and a sentence that explains it. (What does a filter know of the speed?)
+
+
+# %% tags=["exercise"]
+def restless():
+    """Return a gust (ft/s^2), and a sentence."""
+    ...
+
+
+# %% tags=["check", "skip-execution"]
+answer = restless()
+assert answer is not None and len(answer) == 2, "Exercise 3: return a gust and a sentence"
+gust, why = answer
+stormy = ms.psi(task, "filter", gains=ms.kalman_gains(task, gust**2 * B @ B.T, [[1.0]]))
+turns = (-1.0) ** np.arange(H)
+times = (turns @ stormy @ turns) / stormy.sum()
+assert times > 10, f"Exercise 3: in turn they cost {times:.2f} times as much"
+assert len(why.split()) >= 8, "Exercise 3: explain it in a sentence"
+print("Exercise 3: right")
