@@ -19,45 +19,48 @@
 # %%
 from dataclasses import replace
 
-import matplotlib.pyplot as plt
 import numpy as np
 
-import landing
 import modelselect as ms
 import perception as pc
 
+dt, H = 0.2, 50  # s, steps
+path = {"altitude": 80 - 1.4 * np.arange(H)}  # ft, at 7 ft/s
+
 # %% alt="Block diagram. A schedule picks one of six detectors, which measures the height of a drone above a pad with an error e. The filter keeps a part of the error, and passes it to itself at the next step; the controller acts on the belief and moves the drone. Below, what you bring: a file of residuals, A B C Q R with gains, prices with a budget; from these a solver makes the schedule, its certificate and JSON, anew at every step." tags=["hide-input"]
-plt.rcParams.update(landing.STYLE)
+import matplotlib.pyplot as plt
+
+from landing import STYLE
+
+plt.rcParams.update(STYLE)
 BLUE, ORANGE, GREEN, RED, GREY = "#0072B2", "#E69F00", "#009E73", "#D55E00", "#999999"
-COLOURS = [GREY, "#56B4E9", GREEN, "#CC79A7", BLUE, ORANGE]
 figure, axes = plt.subplots(figsize=(12, 5.4))
-blocks = {
-    "drone\n$x_{t+1} = Ax_t + Bu_t$": (0.2, 3.4, "white"),
-    "detector $w_t$\n$y + e_t$": (3.6, 3.4, "#fbe3b5"),
-    "filter\nbelief $\\hat{x}_t$": (7.0, 3.4, "#cfe3f2"),
-    "controller\n$u_t = -K\\hat{x}_t$": (10.4, 3.4, "white"),
-    "residual file\nmeans, variances": (0.2, 0.2, "#eeeeee"),
-    "$A, B, C, Q, R$, gains\nsensitivity $\\Psi$": (3.6, 0.2, "#eeeeee"),
-    "prices, switches,\nbudget": (7.0, 0.2, "#eeeeee"),
-    "solve: schedule\n+ certificate": (10.4, 0.2, "#fbe3b5"),
-}
-for text, (x, y, colour) in blocks.items():
+upper = ["drone\n$x_{t+1} = Ax_t + Bu_t$", "detector $w_t$\n$y_t + e_t$"]
+upper += ["filter\nbelief $\\hat{x}_t$", "controller\n$u_t = -K_t\\hat{x}_t$"]
+lower = ["residual file\nmeans, variances", "$A, B, C, Q, R$, gains\nsensitivity $\\Psi$"]
+lower += ["prices, switches,\nbudget", "solve: schedule\n+ certificate"]
+colours = ["white", "#fbe3b5", "#cfe3f2", "white", *3 * ["#eeeeee"], "#fbe3b5"]
+for k, (text, colour) in enumerate(zip(upper + lower, colours, strict=True)):
+    x, y = 0.2 + 3.4 * (k % 4), 3.4 if k < 4 else 0.2
     axes.add_patch(plt.Rectangle((x, y), 2.6, 1.2, facecolor=colour, edgecolor="black", lw=1.5))
-    axes.text(x + 1.3, y + 0.6, text, ha="center", va="center", fontsize=13)
-arrow = {"arrowstyle": "-|>", "lw": 2, "color": "black"}
+    axes.text(x + 1.3, y + 0.6, text, ha="center", va="center", fontsize=15)
+
+
+def arrow(start, end, colour="black", bend=0.0):
+    look = {"arrowstyle": "-|>", "lw": 2.5, "color": colour}
+    axes.annotate("", end, start, arrowprops=look | {"connectionstyle": f"arc3,rad={bend}"})
+
+
 for x in (2.8, 6.2, 9.6):
-    axes.annotate("", (x + 0.8, 4.0), (x, 4.0), arrowprops=arrow)
-axes.annotate("", (10.4, 0.8), (9.6, 0.8), arrowprops=arrow)
-for x in (3.2, 6.6):
-    axes.text(x, 0.8, "+", ha="center", va="center", fontsize=20)
-axes.plot([11.7, 11.7, 1.5], [4.6, 5.6, 5.6], color="black", lw=2)
-axes.annotate("", (1.5, 4.6), (1.5, 5.6), arrowprops=arrow)
-memory = dict(arrow, color=RED, connectionstyle="arc3,rad=-0.9")
-axes.annotate("", (7.5, 3.4), (9.1, 3.4), arrowprops=memory)
-axes.text(8.3, 2.25, "a part of each error stays", color=RED, ha="center", fontsize=14)
+    arrow((x, 4.0), (x + 0.8, 4.0))
+    arrow((x, 0.8), (x + 0.8, 0.8)) if x > 9 else axes.text(x + 0.4, 0.65, "+", ha="center")
+axes.plot([11.7, 11.7, 1.5], [4.6, 5.6, 5.6], color="black", lw=2.5)
+arrow((1.5, 5.6), (1.5, 4.6))
+arrow((9.1, 3.4), (7.5, 3.4), RED, -0.9)
+axes.text(8.3, 2.2, "a part of each error stays", color=RED, ha="center", fontsize=16)
 axes.plot([11.7, 11.7, 4.9], [1.4, 1.95, 1.95], color=ORANGE, lw=2.5)
-axes.annotate("", (4.9, 3.4), (4.9, 1.95), arrowprops=dict(arrow, color=ORANGE, lw=2.5))
-axes.text(8.3, 1.57, "JSON; anew at every step", color="#9a6a00", ha="center", fontsize=14)
+arrow((4.9, 1.95), (4.9, 3.4), ORANGE)
+axes.text(8.3, 1.52, "JSON; anew at every step", color="#9a6a00", ha="center", fontsize=16)
 axes.set(xlim=(0, 13.2), ylim=(0, 5.9))
 axes.axis("off")
 plt.show()
@@ -89,9 +92,9 @@ toy = ms.SelectionProblem(small, means, 0 * means, model_cost=[0, 0])
 toll = replace(toy, switch_cost=[[0, 0.3], [0.3, 0]])
 for c in ([0, 0], [0, 1]):
     print(c, f"{toy.total_cost(c):.3f}, if a switch costs 0.3: {toll.total_cost(c):.3f}")
-pull = 2 * small[1, 0] * 1.0
-np.testing.assert_allclose(ms.prior_pull(replace(line, horizon=1), [0.5], gains=half[:1]), pull)
-assert np.isclose(pull, 0.125) and toy.total_cost([0, 0]) > 1.9 * toy.total_cost([0, 1])
+pull = ms.prior_pull(replace(line, horizon=1), [0.5], gains=half[:1])  # of what xi_0 becomes
+assert np.isclose(pull, 0.125) and np.isclose(pull, 2 * small[1, 0] * 1.0)
+assert np.diff(toy.total_cost([[0, 0], [0, 1]])) < 0 < np.diff(toll.total_cost([[0, 0], [0, 1]]))
 
 # %% [markdown]
 # ## In general
@@ -128,8 +131,6 @@ def rows(these):
     return replace(table, **part)
 
 
-dt, H = 0.2, 50  # s, steps
-path = {"altitude": 80 - 1.4 * np.arange(H)}  # ft: 7 ft/s
 kernel = pc.Kernel(0.3, log=["altitude"], relative="altitude")
 
 
@@ -147,8 +148,8 @@ for w, name in enumerate(suite.names):
 
 # %% [markdown]
 # Bias ± spread at 80 and 45 ft, and the share of looks at 80 ft that gave nothing. The names are a
-# scale of the picture and a refinement of corners. The dearest detector reads too low, most
-# cheap ones too high. A `Kernel` weighs views by how near they were (30% in altitude), and
+# scale of the picture and a refinement of corners. The two slow detectors read too low,
+# the four quick ones too high. A `Kernel` weighs views by how near they were (30% in altitude), and
 # lets errors grow with distance. Every second view is kept for the rehearsal.
 #
 # ## The robot
@@ -164,22 +165,8 @@ gains = ms.kalman_gains(task, 0.5**2 * B @ B.T, [[1.0]])
 Psi = ms.psi(task, "filter", gains=gains)
 print("gains", *gains[0].ravel().round(2), " echo:", *(Psi[25, 25:36:2] / Psi[25, 25]).round(2))
 
-
-def beliefs(e):
-    """Return how far errors (H,) put the belief off, (H, n)."""
-    xi = [np.zeros(2)]
-    for t in range(H):
-        z = A @ xi[-1]
-        xi.append(z + gains[t, :, 0] * (e[t] - z[0]))
-    return np.array(xi[1:])
-
-
-law, e = ms.riccati(task), np.random.default_rng(0).normal(size=H)
-wrong = np.einsum("tmn,tn->tm", law.K, beliefs(e))
-np.testing.assert_allclose(np.einsum("ti,tij,tj->", wrong, law.S, wrong), e @ Psi @ e)
-
 # %% [markdown]
-# An error meets those of the next ten steps, two seconds.
+# An error meets those of the next ten steps, two seconds ("echo": $\Psi_{25,k} / \Psi_{25,25}$).
 #
 # ## The schedule
 #
@@ -197,14 +184,29 @@ schedules = {
     "greedy": ms.stepwise_cost(free).argmin(axis=1),
     "best single": min(constant, key=free.total_cost),
 }
+print("                which detector at each step                       total, switches free")
 for name, c in schedules.items():
     print(f"{name:15}", "".join(map(str, c)), f"{free.total_cost(c):.2f}")
-print(f"plan: {plan.cost:.3f}, gap {plan.gap:.0e}, carried by {plan.proof}; spends", end=" ")
-print(f"{problem.perception_term(plan.choices):.0f} ms; one more saves {plan.multiplier:.4f}")
+print(f"plan: {plan.cost:.3f} with switches, gap {plan.gap:.0e} by {plan.proof}, spends", end=" ")
+print(f"{problem.perception_term(plan.choices):.0f} ms; one more would save {plan.multiplier:.4f}")
 dearer = free.total_cost(schedules["greedy"]) / free.total_cost(schedules["optimum"])
-assert plan.is_optimal and 1.3 < dearer < 1.33
+assert plan.is_optimal and 1.3 < dearer < 1.33 and (suite.mean[:, 5] < 0).all()
 
-# %% alt="Above, the detector of each step against altitude, from 80 feet on the left to 11: the optimum uses number 5, with a few steps of 1 in between, then 4 and 2 in turn; the plan within the budget leaves 5 much earlier. Below, the mean error of the optimum's detectors jumps between -0.5 and 1.5 feet, while the mean error of the belief stays within 0.2 feet of zero; that of greedy lies between -0.3 and -0.1 for half of the way." tags=["hide-input"]
+
+# %% alt="Above, the detector of each step against altitude, from 80 feet on the left to 11: the optimum uses number 5, with a few steps of 1 in between, then 4 and 2 in turn; the plan within the budget leaves 5 much earlier. Below, the mean error of the optimum's detectors jumps between -0.5 and 1.5 feet, while the mean error of the belief stays within 0.3 feet of zero; that of greedy falls below -0.3 and stays below zero for half of the way." tags=["hide-input"]
+def beliefs(e):
+    """Return how far errors (H,) put the belief off, (H, n)."""
+    xi = [np.zeros(2)]
+    for t in range(H):
+        z = A @ xi[-1]
+        xi.append(z + gains[t, :, 0] * (e[t] - z[0]))
+    return np.array(xi[1:])
+
+
+law, e = ms.riccati(task), np.random.default_rng(0).normal(size=H)
+wrong = np.einsum("tmn,tn->tm", law.K, beliefs(e))
+np.testing.assert_allclose(np.einsum("ti,tij,tj->", wrong, law.S, wrong), e @ Psi @ e)
+
 figure, (top, bottom) = plt.subplots(2, sharex=True, figsize=(11, 7), height_ratios=[3, 2])
 h = path["altitude"]
 for (name, c), marker, colour, off in zip(
@@ -219,6 +221,7 @@ chosen = free.chosen_mean(schedules["optimum"])
 bottom.step(h, chosen, where="mid", color=GREY, label="error of the detector")
 bottom.plot(h, beliefs(chosen)[:, 0], color=ORANGE, lw=3, label="of the belief")
 alone = beliefs(free.chosen_mean(schedules["greedy"]))[:, 0]
+assert abs(beliefs(chosen)[:, 0]).max() < 0.3 and alone.min() < -0.34
 bottom.plot(h, alone, "k--", lw=2, label="of greedy's belief")
 bottom.set(xlabel="altitude (ft)", ylabel="mean (ft)")
 bottom.invert_xaxis()
@@ -232,21 +235,17 @@ plt.show()
 #
 # ## The message
 #
-# A schedule travels as strict JSON. The robot derives cost and root bound anew, and refuses a message
-# that does not add up. What lies between root bound and cost is the search's word (notebook 3).
+# A schedule travels as strict JSON, as does its problem. The robot derives cost and root bound anew,
+# and refuses a message that does not add up. What lies between root bound and cost is the search's word (notebook 3).
 
 # %%
-message = plan.to_json()
-received = ms.Schedule.from_json(message)
-bound = ms.check_certificate(problem, received)
-print(f"{len(message)} characters; root bound {bound:.3f}, cost {received.cost:.3f}")
-forged = replace(received, choices=np.full(H, 4))
+received = ms.Schedule.from_json(message := plan.to_json())
+print(f"{len(message)} characters; root bound {ms.check_certificate(problem, received):.3f}")
 try:
-    ms.check_certificate(problem, forged)
+    ms.check_certificate(problem, replace(received, choices=np.full(H, 4)))
+    raise AssertionError("a forged schedule passed")
 except ValueError as error:
     print("refused:", str(error)[:70])
-else:
-    raise AssertionError("a forged schedule passed")
 
 # %% [markdown]
 # ## The rehearsal
@@ -266,31 +265,29 @@ def draw(residuals, N, rng):
 def fly(errors, c):
     """Return the control cost (N,) of flights under a schedule."""
     e = errors[:, np.arange(H), c]
-    states, controls = ms.run_controller(task, [0, 0], 0 * e, e, "filter", gains=gains)
-    return ms.control_cost(task, states, controls)
+    return ms.control_cost(task, *ms.run_controller(task, [0, 0], 0 * e, e, "filter", gains=gains))
 
 
 unseen = draw(other, 1000, np.random.default_rng(0))
-again = replace(free, mean=suite_of(other)[0].mean, variance=suite_of(other)[0].variance)
+again = ms.SelectionProblem.from_suite(Psi, suite_of(other)[0], beta=1 / 1000)
 totals = {}
 print("control cost:   promised  by the other views   flown         total")
 for name, c in schedules.items():
-    flown, spent = fly(unseen, c), free.perception_term(c) / 1000
-    totals[name], half = flown + spent, 1.96 * flown.std() / 1000**0.5
-    hindsight = float(again.control_term(c))
-    print(f"{name:15} {free.control_term(c):8.2f} {hindsight:18.2f}", end="")
-    print(f" {flown.mean():12.2f} ± {half:.2f} {flown.mean() + spent:8.2f}")
-    assert abs(flown.mean() - hindsight) < 2 * half
-    assert abs(flown.mean() / free.control_term(c) - 1) < 0.155
-for name in ("greedy", "best single"):
-    saved = totals[name] - totals["optimum"]
+    flown, promised, hindsight = fly(unseen, c), free.control_term(c), again.control_term(c)
+    totals[name] = flown + free.perception_term(c) / 1000
+    mean, half = flown.mean(), 1.96 * flown.std() / 1000**0.5
+    print(f"{name:15} {promised:8.2f} {hindsight:18.2f} {mean:12.2f} ± {half:.2f}", end="")
+    print(f" {totals[name].mean():8.2f}")
+    assert abs(mean - hindsight) < 2 * half and abs(mean / promised - 1) < 0.155
+for c in (schedules["greedy"], *constant):
+    saved = fly(unseen, c) + free.perception_term(c) / 1000 - totals["optimum"]
     assert saved.mean() > 3 * saved.std() / 1000**0.5
 
 # %% [markdown]
 # What was flown is what the **other** views predict: the formula holds. The promises of the fitted
-# half are off by up to 15%, either way: 800 views leave that open (`guard_suite` is for those who
-# must not be let down). The order stands: the optimum costs less in flight than greedy and any one
-# detector.
+# half are off by up to 15%, either way: 800 views leave that open, and a schedule of opposite
+# biases relies on them. The order stands: the optimum costs less in flight than greedy and than any
+# one detector.
 #
 # ## Planning anew
 #
@@ -299,32 +296,30 @@ for name in ("greedy", "best single"):
 # \mu_{\mathrm{past}}$. `receding_horizon` keeps the books: budget left, detector in memory. At step 20
 # number 4 breaks.
 
+
 # %%
-prices = problem.model_cost  # (H, W)
-
-
 def descend(breaks=H, remember=True):
     """Plan at each step, run the first detector of each plan; return what ran, and the plans."""
     ran, plans = [], []
 
     def outlook(t):
-        now = prices[t:].copy()
+        now = problem.model_cost[t:].copy()
         now[:, [4] if t >= breaks else []] = np.inf
         pull = 2 * remember * Psi[t:, :t] @ problem.mean[np.arange(t), ran, 0]
         rest = {"psi": Psi[t:, t:], "mean": problem.mean[t:], "variance": problem.variance[t:]}
         return replace(problem, **rest, model_cost=now, pull=pull[:, None], budget=None)
 
     for t, found in enumerate(ms.receding_horizon(outlook, H, budget=problem.budget)):
-        spent = prices[np.arange(t), ran].sum() + 5 * np.count_nonzero(np.diff(ran))
-        books = {"budget": (1 + 1e-12) * problem.budget - spent} | ({"initial_model": ran[-1]} if t else {})
-        ms.check_certificate(replace(outlook(t), **books), found)
+        spent = problem.model_cost[np.arange(t), ran].sum() + 5 * np.count_nonzero(np.diff(ran))
+        left, first = (1 + 1e-12) * problem.budget - spent, {"initial_model": ran[-1]} if t else {}
+        ms.check_certificate(replace(outlook(t), budget=left, **first), found)
         assert found.is_optimal
         ran.append(int(found.choices[0]))
         plans.append(found.choices)
     return ran, plans
 
 
-known = prices.copy()
+known = problem.model_cost.copy()
 known[20:, 4] = np.inf
 least = ms.solve(replace(problem, model_cost=known)).cost
 paid = {}
@@ -336,7 +331,8 @@ print(f"had it known beforehand that 4 would break: {least:.3f}")
 np.testing.assert_allclose(paid["no news"], plan.cost)
 assert paid["no pull"] > 1.1 * plan.cost and least <= paid["4 breaks"] < 1.05 * least
 
-# %% alt="Each row is the plan made at a step, drawn from that step to the end, in colours of the detectors. Rows above step 20 are alike: 5, then mostly 4, with two steps of 2, then 1. From step 20 on 4 is gone: 3 takes its place, with a few steps of 2, and 1 follows earlier." tags=["hide-input"]
+# %% alt="Each row is the plan made at a step, drawn from that step to the end, in colours of the detectors. Rows of steps 0 to 19 are alike: mostly 5, then mostly 4, with two steps of 2, then 1. From step 20 on 4 is gone: 3 takes its place, with three steps of 2, and 1 follows four steps earlier." tags=["hide-input"]
+COLOURS = [GREY, "#56B4E9", GREEN, "#CC79A7", BLUE, ORANGE]
 figure, axes = plt.subplots(figsize=(11, 6))
 for t, choices in enumerate(plans):
     row = 0 * choices + t
@@ -353,7 +349,7 @@ plt.show()
 # %% [markdown]
 # Where nothing new is learnt, planning anew changes nothing: each tail of an optimum is optimal,
 # **given the pull**. Without it the robot replans itself into the very drift that it had planned
-# against.
+# against. News costs little: 7.37 instead of the 7.35 of a robot that had known.
 #
 # ## Before you trust it
 #
@@ -363,16 +359,15 @@ plt.show()
 # | errors depend on the path only, not on the state | fly it: `benchmarks/detectors.py` |
 # | gains are fixed beforehand | compute $\Psi$ for the gains that you run |
 # | the model is linear along the path | give $A, B, C$ a time axis |
-# | views of the file are like those in use | record anew; guard |
+# | views of the file are like those in use | record anew |
 #
-# Costs are expectations. They say nothing of the worst case: keep your safety monitor.
+# Costs are expectations. They say nothing of the worst case: keep your safety monitor. The first
+# row matters: pictures 0.2 s apart look alike. If noise of neighbouring steps correlates by 0.6, the
+# optimum costs
 
 # %%
-for rho in (0.3, 0.6):
-    cost = ms.correlated_cost(
-        free, schedules["optimum"], ms.autoregressive_errors(free.variance, rho)
-    )
-    print(f"if errors of neighbours correlate by {rho}: {cost:.2f}")
+lasting = ms.autoregressive_errors(free.variance, 0.6)
+print(f"{ms.correlated_cost(free, schedules['optimum'], lasting):.2f}, where 5.74 was promised")
 
 # %% [markdown]
 # **In one paragraph.** You bring a file of residuals, five matrices with gains, prices. The pattern
@@ -395,7 +390,7 @@ for rho in (0.3, 0.6):
 # right, and the fitted views were unlike the others.
 #
 # </details>
-# <details><summary>A crane computes its whole motion from a forecast of the swell; a ship's position is a running mean of looks; a walker sees how soft the ground is when its foot lands. Which patterns?</summary>
+# <details><summary>A crane computes its whole motion from one forecast of the swell; a ship's position is a running mean of looks; a walker of exact joints sees how soft the ground is when its foot lands. Which patterns?</summary>
 #
 # `open_loop`: it never looks at the load. `filter`. `causal`: this step's input and no later one.
 #
@@ -431,15 +426,10 @@ assert len(answer.residual) == 600, "Exercise 1: a row for every look, also thos
 assert answer.missed.sum() == np.isnan(reports).sum(), "Exercise 1: what gave nothing stays NaN"
 for w in (0, 1):
     mine = answer.model == w
-    order, error = np.argsort(answer.altitude[mine]), (reports[:, w] - true)[np.argsort(where)]
-    assert np.array_equal(answer.altitude[mine][order], np.sort(where)), (
-        "Exercise 1: each model looked once at every altitude"
-    )
-    assert not np.allclose(answer.residual[mine][order], -error, equal_nan=True), (
-        "Exercise 1: a residual is what was reported less the truth"
-    )
-    assert np.allclose(answer.residual[mine][order], error, equal_nan=True), (
-        "Exercise 1: a residual stands in the wrong row; in which order do rows come?"
+    found = answer.residual[mine][np.argsort(answer.altitude[mine])]
+    error = (reports[:, w] - true)[np.argsort(where)]
+    assert len(found) == 300 and np.allclose(found, error, equal_nan=True), (
+        "Exercise 1: is it what was reported less the truth? in which order do rows come?"
     )
 print("Exercise 1: right")
 
@@ -447,8 +437,8 @@ print("Exercise 1: right")
 # ### Exercise 2: which two?
 #
 # Only two models fit into memory. Write `best_pair(problem)`: their indices and the optimal cost
-# with them alone (a price of `inf` locks a model out; $W \ge 2$). Then try it on `free`: which pair
-# would you load, and does it contain the best single detector?
+# with them alone (a price of `inf` locks a model out; $W \ge 2$). Then try it on `free`: is it
+# the pair of detectors that are best alone?
 
 
 # %% tags=["exercise"]

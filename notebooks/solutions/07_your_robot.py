@@ -16,8 +16,8 @@ def residuals_of(names, altitude, truth, reports):
 # %% [markdown]
 # ## Exercise 2
 #
-# A price of infinity locks a model out. On the drone the pair is 4 and 5, at 6.09: the best single
-# detector, 5, and the cheaper one that takes over further down.
+# A price of infinity locks a model out. On the drone the pair is 1 and 5, at 6.54: not the two that
+# are best alone, 5 and 4, but the best and the one that errs the other way.
 
 
 # %%
@@ -45,8 +45,8 @@ def solve_within(problem, price):
 # ## Exercise 3
 #
 # They do not uncouple. No detector measures the speed, so the filter takes it from how heights
-# differ: two errors of opposite sign look like speed, and the controller brakes against it. Of a
-# constant bias it learns no speed at all.
+# differ: two errors of opposite sign look like speed, and the controller brakes against it. A
+# constant bias looks like speed at the start only.
 
 
 # %%
@@ -54,6 +54,6 @@ def restless():
     """Return a gust (ft/s^2), and a sentence."""
     why = (
         "the filter takes the speed from differences of heights, which errors of opposite sign in "
-        "turn make large and a constant bias leaves at zero"
+        "turn make large, and a constant bias at the start only"
     )
     return 100.0, why
