@@ -86,7 +86,7 @@ plt.show()
 line = ms.ControlTask([[1]], [[1]], [[1]], [[1]], [[1]], horizon=2)
 half = ms.kalman_gains(line, process_noise=[[1]], measurement_noise=[[2]])  # 1/2
 small = ms.psi(line, "filter", gains=half)
-print(small, "\nwithout a filter:", *ms.psi(line, "measurement").diagonal())
+print(small, "\nwithout a filter:", *ms.psi(line, "measurement").diagonal().round(9))
 means = np.tile([[1.0], [-1.0]], (2, 1, 1))
 toy = ms.SelectionProblem(small, means, 0 * means, model_cost=[0, 0])
 toll = replace(toy, switch_cost=[[0, 0.3], [0.3, 0]])
@@ -144,7 +144,7 @@ fitted, other = rows(view % 2 == 0), rows(view % 2 == 1)
 suite, missed = suite_of(fitted)
 for w, name in enumerate(suite.names):
     entry = (f"{suite.mean[t, w, 0]:+.2f} ± {suite.variance[t, w, 0] ** 0.5:.2f}" for t in (0, 25))
-    print(f"{name:12} {price[name]:5.1f} ms", *entry, f" misses {missed[0, w]:.0%}", sep="  ")
+    print(f"{w}: {name:12} {price[name]:5.1f} ms", *entry, f" misses {missed[0, w]:.0%}", sep="  ")
 
 # %% [markdown]
 # Bias ± spread at 80 and 45 ft, and the share of looks at 80 ft that gave nothing. The names are a
@@ -240,12 +240,12 @@ plt.show()
 
 # %%
 received = ms.Schedule.from_json(message := plan.to_json())
-print(f"{len(message)} characters; root bound {ms.check_certificate(problem, received):.3f}")
+print(message[:70], f"...; root bound {ms.check_certificate(problem, received):.3f}")
 try:
     ms.check_certificate(problem, replace(received, choices=np.full(H, 4)))
     raise AssertionError("a forged schedule passed")
 except ValueError as error:
-    print("refused:", str(error)[:70])
+    print("refused:", str(error)[:29])
 
 # %% [markdown]
 # ## The rehearsal
