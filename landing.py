@@ -701,21 +701,8 @@ def write_percentages(result: Result, path: Path) -> None:
 
 def _parser() -> options.Parser:
     """Make a parser of the fields of `Settings`, and of where to write what."""
-    about = "Land an aircraft, choosing perception models."
-    parser = options.Parser("landing.py", usage=argparse.SUPPRESS, description=about)
-    unset = {"upsilon": "as the preset", "budget": "none"}
     fields = {k: v for k, v in asdict(Settings()).items() if k != "residuals"}
-    parser.add_fields(fields, _names(), unset)
-    parser.add_argument(
-        "--residuals", type=options.place, metavar="FILE", help="CSV; measured ones"
-    )
-    about = "find all Pareto points, or as many as so many seconds prove"
-    parser.add_argument("--front", type=options.real, metavar="SECONDS", help=about)
-    parser.add_argument("--out", type=options.place, default="figures", metavar="FOLDER")
-    parser.add_argument("--json", type=options.place, metavar="FILE")
-    parser.add_argument("--no-figures", action="store_true")
-    parser.add_argument("--quiet", action="store_true")
-    return parser
+    return options.of_landings(fields, _names())
 
 
 def main(argv: Sequence[str] | None = None) -> int:

@@ -53,20 +53,22 @@ class Parser(argparse.ArgumentParser):
         values: Mapping[str, Any],
         names: Mapping[str, Collection[str]],
         said: Mapping[str, str],
+        about: Mapping[str, str],
     ) -> None:
         """Add an option a field, with its default in `values`, as `said` where None says nothing.
 
-        A field of `names` is one of those that are known; one that is False is switched on.
+        A field of `names` is one of those that are known, one that is False is switched on; what
+        each is `about` is its help.
         """
         kinds: dict[type, Callable[[str], Any]] = {int: whole, float: real, type(None): real}
         for name, value in values.items():
             flag, known = f"--{name.replace('_', '-')}", names.get(name)
             if value is False:
-                self.add_argument(flag, action="store_true", help=said.get(name))
+                self.add_argument(flag, action="store_true", help=about[name])
                 continue
             kind, default = kinds.get(type(value), str), said.get(name, value)
-            about = f"default: {default}"
-            self.add_argument(flag, type=kind, choices=known, default=value, help=about)
+            words = f"{about[name]}; default: {default}"
+            self.add_argument(flag, type=kind, choices=known, default=value, help=words)
 
     def error(self, message: object) -> NoReturn:
         """End with status 2, after the `message` on one line."""
@@ -80,3 +82,53 @@ class Parser(argparse.ArgumentParser):
         """Say on one line that Ctrl-C ended the work, and return the status to end with."""
         print(f"{self.prog}: interrupted", file=sys.stderr)
         return INTERRUPTED
+
+
+# ----------------------------------------------------------------------------- the landing's own
+
+#: What the command line says of each option.
+ABOUT = {
+    "experiment": "whose errors: the paper's formulas, networks that learn from rendered pictures, "
+    "or a detector measured on them; the last two have other defaults",
+    "preset": "whose aircraft",
+    "information": "what the controller knows, and when: see modelselect.PATTERNS",
+    "horizon": "steps of a landing",
+    "trials": "landings",
+    "alpha": "weight of control cost",
+    "beta": "weight of perception cost",
+    "upsilon": "price of one model up",
+    "cost": "prices of models: w * upsilon; counted operations; or milliseconds a picture "
+    "(EfficientNet's on an i7-12700H, a detector's own), the dearest as dear beside control cost "
+    "as at w * upsilon",
+    "seed": "of everything random",
+    "switch_cost": "price of changing models, in units of the prices: ms if those are latency",
+    "budget": "the most that perception may cost on a landing, switches included, in those units",
+    "front": "find all Pareto points (under the budget), or as many as so many seconds prove; say "
+    "how many weights alpha : beta reach, and what the best of those costs beside the best",
+    "fit": "how errors of networks are pooled along the way",
+    "calibrate": "networks report what is expected where they say what they say",
+    "rounds": "of 20 landings that networks are labelled on, flown with what is best until then",
+    "residuals": "CSV for experiment measured, with the columns of notebooks/data/tags.csv, the default",
+    "out": "where figures and percentages.csv go; default: figures",
+    "json": "write means, intervals, schedule and settings",
+    "no-figures": "write no figures, no percentages",
+    "quiet": "print nothing",
+}
+
+
+def of_landings(fields: Mapping[str, Any], names: Mapping[str, Collection[str]]) -> Parser:
+    """Make the parser of landing.py: options for `fields`, and for what to read and write."""
+    about = "Land an aircraft, choosing perception models."
+    parser = Parser("landing.py", usage=argparse.SUPPRESS, description=about)
+    parser.add_fields(fields, names, {"upsilon": "as the preset", "budget": "none"}, ABOUT)
+    for name, kind, metavar in (
+        ("residuals", place, "FILE"),
+        ("front", real, "SECONDS"),
+        ("out", place, "FOLDER"),
+        ("json", place, "FILE"),
+    ):
+        parser.add_argument(f"--{name}", type=kind, metavar=metavar, help=ABOUT[name])
+    parser.set_defaults(out=Path("figures"))
+    for name in ("no-figures", "quiet"):
+        parser.add_argument(f"--{name}", action="store_true", help=ABOUT[name])
+    return parser

@@ -279,3 +279,9 @@ def test_networks_that_are_not_given_are_learned(place):
     chosen = {"experiment": "trained"} | landing.DEFAULTS["trained"]
     result = landing.run_experiment(landing.Settings(**chosen, horizon=2, trials=2))
     assert result.trained is landing.learn(0)
+
+
+def test_help_says_what_every_option_is_for():
+    for option in landing._parser()._actions:
+        said = (option.help or "").partition("default:")[0]
+        assert len(said.split()) >= 1, option.dest

@@ -843,9 +843,11 @@ def test_report_names_what_it_shows(small, published):
     assert max(map(len, f"{text}\n{report(published)}".splitlines())) <= 105
 
 
-def test_readme_shows_the_report_of_the_published_experiment(published):
-    readme = Path(landing.__file__).with_name("README.md").read_text(encoding="utf-8")
-    shown = re.findall(r"```text\n(Means.*?)\n\n\[then", readme, re.DOTALL)[0]
+def test_benchmarks_show_the_report_of_the_published_experiment(published):
+    page = Path(landing.__file__).with_name("benchmarks") / "README.md"
+    shown = re.findall(
+        r"```text\n(Means.*?)\n\n\[then", page.read_text(encoding="utf-8"), re.DOTALL
+    )[0]
     printed = report(published)
     number = r"\d+\.\d+(?:e[+-]\d+)?|\d+e-\d+"
     old, new = (re.sub(r"in [0-9.]+ s\.$", "", text, flags=re.M) for text in (shown, printed))
