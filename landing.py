@@ -46,7 +46,7 @@ from scipy.signal import cont2discrete
 import modelselect as ms
 import perception
 from modelselect import Array, Choices, ControlTask, Schedule, SelectionProblem
-from modelselect_parts import figures, flights, measured, options, pooling, prices, stages, tables
+from modelselect_parts import figures, flights, learning, measured, options, pooling, prices, tables
 from modelselect_parts.checks import check_class, check_count, check_name, check_number, shown
 from modelselect_parts.figures import STYLE
 from modelselect_parts.files import check_targets, write_atomically
@@ -71,6 +71,7 @@ from modelselect_parts.plots import (
     plot_quantiles,
     plot_rewards,
     plot_schedule,
+    plot_stages,
     plot_training,
     write_figures,
 )
@@ -291,18 +292,6 @@ class Flights(NamedTuple):
 QUANTITIES = Flights._fields[2:]
 
 
-class Stage(NamedTuple):
-    """What is known of the models, the problem that it poses, and its optimum."""
-
-    name: str
-    suite: PerceptionSuite
-    gains: Array | None  #: of a pattern that takes them
-    problem: SelectionProblem
-    optimal: Schedule
-    seconds: float  #: that `modelselect.solve` took
-    skill: Any = None  #: what networks can do by then, a `stages.Skill`
-
-
 @dataclass(frozen=True, eq=False)
 class Result:
     """A run: its settings with the Upsilon that was used, the problem, its optimum, the trials."""
@@ -316,7 +305,8 @@ class Result:
     flights: dict[str, Flights]  #: by policy
     trained: Trained | None = None  #: the networks of experiment ``trained``
     front: Front | None = None  #: all Pareto points, where they were asked for
-    stages: tuple[Stage, ...] = ()  #: of which the last one is posed, solved and flown
+    stages: tuple[learning.Stage, ...] = ()  #: of which the last one is posed, solved and flown
+    flown: dict[str, learning.Flown] | None = None  #: by sight at every stage: `fly_stages`
 
     def means(self) -> dict[str, Array]:
         """Means over trials (3,) of control cost, perception cost and reward, by policy."""
@@ -329,7 +319,7 @@ def _posed(
     landing: Preset,
     suite: PerceptionSuite,
     skill: Any = None,
-) -> tuple[Settings, Stage]:
+) -> tuple[Settings, learning.Stage]:
     """Price a suite, pose its problem and solve it; return the Upsilon that was used, too."""
     gains = gains_for(landing, run.information, suite)
     Psi = ms.psi(landing.task, run.information, gains=gains)
@@ -347,11 +337,13 @@ def _posed(
     started = perf_counter()
     optimal = ms.solve(problem)
     seconds = perf_counter() - started
-    stage = Stage(name, suite, gains, problem, optimal, seconds, skill)
+    stage = learning.Stage(name, suite, gains, problem, optimal, seconds, skill)
     return replace(run, upsilon=upsilon), stage
 
 
-def _learning(run: Settings, landing: Preset, first: Stage, rng: Rng) -> list[Stage]:
+def _learning(
+    run: Settings, landing: Preset, first: learning.Stage, rng: Rng
+) -> list[learning.Stage]:
     """Return the stages in which networks learn more: calibrated, then round by round."""
     known = [first]
     for k in range(0 if run.calibrate else 1, run.rounds + 1):
@@ -359,18 +351,20 @@ def _learning(run: Settings, landing: Preset, first: Stage, rng: Rng) -> list[St
         if k > 0:
             able, s = last.skill, landing.draw_inputs(rng, LABELLED)
             given = (able, run.information, last.optimal.choices, rng, s, last.gains)
-            able = able._replace(pictures=stages.label_landings(landing, *given))
-        able = stages.skill(able.networks, able.pictures, run.calibrate)
+            able = able._replace(pictures=learning.label_landings(landing, *given))
+        able = learning.skill(able.networks, able.pictures, run.calibrate)
         suite = _fitted(landing, run, rng, able.networks, able.seen)
         known += [_posed(f"round {k}" if k else "calibrated", run, landing, suite, able)[1]]
     return known
 
 
-def _known(run: Settings, landing: Preset, trained: Any, rng: Rng) -> tuple[Settings, list[Stage]]:
+def _known(
+    run: Settings, landing: Preset, trained: Any, rng: Rng
+) -> tuple[Settings, list[learning.Stage]]:
     """Return the stages of a run, one unless networks learn, and the Upsilon of the first."""
     suite, able = EXPERIMENTS[run.experiment](landing, run, rng, trained), None
     if run.experiment == "trained":
-        able = stages.skill(trained.networks, pooling.labelled(trained.residuals), False)
+        able = learning.skill(trained.networks, pooling.labelled(trained.residuals), False)
     run, stage = _posed(run.fit, run, landing, suite, able)
     return run, _learning(run, landing, stage, rng) if able else [stage]
 
@@ -403,8 +397,8 @@ def run_experiment(
         paid = np.zeros(run.trials) + (0 if choices is None else problem.perception_term(choices))
         reward = -run.alpha * control - problem.beta * paid
         flown[policy] = Flights(choices, altitude, control, paid, reward)
-    given = (run, landing, suite, problem, optimal, seconds, flown, trained)
-    return Result(*given, stages=tuple(known))
+    found = (run, landing, suite, problem, optimal, seconds, flown, trained)
+    return Result(*found, stages=tuple(known))
 
 
 # --------------------------------------------------------------------- models trained on pictures
@@ -497,7 +491,7 @@ RIVALS = ("Optimal", "Best Single", "Greedy")
 
 def fly_stages(
     result: Result, trials: int | None = None, *, progress: bool = False
-) -> dict[str, stages.Flown]:
+) -> dict[str, learning.Flown]:
     """Fly what is best at every stage of a run, and its `RIVALS`, by sight and in as many `trials`.
 
     By default they are those of the run, through its inputs; scenes are the same at every stage.
@@ -505,15 +499,16 @@ def fly_stages(
     check_class("result", result, "Result")
     run, landing, found = result.settings, result.landing, {}
     held_out = len(pooling.labelled(_learned(result).residuals).altitude)
-    s = landing.draw_inputs(np.random.default_rng(run.seed).spawn(2)[1], trials or run.trials)
+    N = run.trials if trials is None else check_count("trials", trials)
+    s = landing.draw_inputs(np.random.default_rng(run.seed).spawn(2)[1], N)
     for stage in perception.with_bar(result.stages, "Stages", progress):
         best, problem = stage.optimal.choices, stage.problem
         chosen: Any = policies(problem, best, [], np.random.default_rng(run.seed))
         chosen = {k: np.asarray(c) for k, c in chosen.items() if k in RIVALS}
         given = (landing, stage.skill.readers, run.information, problem, chosen, s, run.seed)
-        flown = stages.fly_rivals(*given, stage.gains)
+        flown = learning.fly_rivals(*given, stage.gains)
         labels = stage.skill.seen, held_out, np.asarray(problem.psi), best
-        found[stage.name] = flown._replace(labelled=stages.regret_of_labels(*labels))
+        found[stage.name] = flown._replace(labelled=learning.regret_of_labels(*labels))
     return found
 
 
@@ -633,13 +628,13 @@ def report_pictures(result: Result, *, progress: bool = False) -> str:
     rows = ms.PATTERNS.items()
     patterns = [k for k, row in rows if not row.foresight and (row.gains or k in within_reach)]
     for information in sorted(patterns, key=lambda name: name != run.information):
-        flown = ("Optimal", "All Large", "All Small") if len(parts) > 1 else FLOWN
-        judged, found = judge_on_pictures(result, information, flown, progress=progress)
+        shown = ("Optimal", "All Large", "All Small") if len(parts) > 1 else FLOWN
+        judged, found = judge_on_pictures(result, information, shown, progress=progress)
         compared = flights.compare(found, run.alpha, judged.problem.beta)
         parts += [tables.table_of_regrets(information, list(found), *compared, UNITS[run.cost])]
-    at_stages = fly_stages(result, progress=progress)
-    came = stages.by_stage(at_stages.values())
-    parts += [tables.table_of_stages(list(at_stages), *came, run.trials)]
+    flown = result.flown or fly_stages(result, progress=progress)
+    table = learning.by_stage(flown.values())
+    parts += [tables.table_of_stages(list(flown), *table, run.trials)]
     counts = [n for n in SIZES if n <= len(altitude)]
     regret = sample_sizes(result, counts)
     shares = np.array([flights.estimate(*pair) for pair in regret])
@@ -661,7 +656,7 @@ def report_measured(result: Result) -> str:
     s = landing.draw_inputs(inputs, MEASURED_FLIGHTS)
     kept = ("Optimal", "Best Single", "Greedy")
     chosen = {k: np.asarray(result.flights[k].choices) for k in kept if k in result.flights}
-    given = (landing, run.information, None, sights)
+    given = (landing, run.information, result.stages[-1].gains, sights)
     lost = {k: measured.regret(*given, c, s, run.seed) for k, c in chosen.items()}
     paid = {k: problem.beta * float(problem.perception_term(c)) for k, c in chosen.items()}
     totals = {k: run.alpha * lost[k] + paid[k] for k in chosen}
@@ -728,6 +723,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         if seconds is not None:
             front = whole_front(result.problem, seconds, progress=not quiet)
             result = replace(result, front=front)
+        if trained and not (bare and quiet):
+            result = replace(result, flown=fly_stages(result, progress=not quiet))
         if not quiet:
             print(report(result))
         if settings.experiment == "measured" and not quiet:

@@ -23,15 +23,15 @@ import landing
 import modelselect as ms
 import perception
 from modelselect_parts import measured
-from modelselect_parts.flights import Aircraft, estimate
+from modelselect_parts.flights import estimate
 from modelselect_parts.rivals import policies
+from modelselect_parts.sight import gains_for
 
 HERE = Path(__file__).resolve().parent
 FILE = HERE.parent / "notebooks" / "data" / "tags.csv"
 PATTERNS = ("filter", "preview", "measurement", "open_loop")
 LEVELS = (0.3, 1.0, 3.0)
 POLICIES = ("Optimal", "Best Single", "Greedy")
-GUST = 0.3  # ft a step, of the textbook landing
 
 
 def flown(information: str, level: float, split: int, trials: int) -> dict[str, Any]:
@@ -41,7 +41,7 @@ def flown(information: str, level: float, split: int, trials: int) -> dict[str, 
     table_of_views = perception.read_residuals(FILE, NAMES)
     fitted, sights = measured.halves(table_of_views, rng)
     suite = measured.suite_along(fitted, aircraft.path[:-1], measured.latencies(table_of_views))
-    gains = filter_gains(aircraft, suite) if information == "filter" else None
+    gains = gains_for(aircraft, information, suite)
     Psi = ms.psi(aircraft.task, information, gains=gains)
     beta = level * one_to_one(Psi, suite)
     problem = ms.SelectionProblem.from_suite(Psi, suite, beta=beta)
@@ -66,16 +66,6 @@ def flown(information: str, level: float, split: int, trials: int) -> dict[str, 
 
 
 NAMES = ["0.25 none", "0.5 subpixel", "0.5 apriltag", "1 none", "1 subpixel", "1 apriltag"]
-
-
-def filter_gains(aircraft: Aircraft, suite: perception.PerceptionSuite) -> np.ndarray:
-    """Gains of a Kalman filter: gusts, and the median of the models' squared errors, are noise.
-
-    Gusts displace the altitude; a hundredth of them pushes every other state.
-    """
-    C = aircraft.task.C
-    push = GUST**2 * (C @ C.T + 1e-4 * np.eye(len(C)))
-    return ms.kalman_gains(aircraft.task, push, [[np.median(suite.variance + suite.mean**2)]])
 
 
 def one_to_one(Psi: np.ndarray, suite: perception.PerceptionSuite) -> float:

@@ -45,7 +45,8 @@ RIVALS = ("Best Single", "Greedy")
 def flown(seed: int, trials: int, quick: bool = False) -> list[dict[str, Any]]:
     """Train the networks of a seed, and fly what is best at every stage: a row for each."""
     trained = landing.learn(seed, **TINY if quick else {})
-    base = Settings(experiment="trained", seed=seed, **landing.DEFAULTS["trained"])
+    steps = 20 if quick else 150
+    base = Settings("trained", horizon=steps, seed=seed, **landing.DEFAULTS["trained"])
     price: dict[str, float] = {}  # that of the kernel's suite, at all stages of a pattern
     rows = []
     for stage, changes in STAGES.items():
@@ -170,11 +171,11 @@ NOTES = """\
 Means over seeds ± 95% t-intervals.
 
 *promised*: regret of Optimal by its table.  *Gaussian*, *bootstrap*: flown with errors drawn from
-that table, and from the pictures it was made of.  *labelled*: e'Psi e of the errors noted in labelled
-landings, whose scene stays the same all the way.  *flown*: by sight.  *total*: alpha regret + beta
-perception cost, at prices that are the same at all stages of a pattern.  *below*: by what share
-Optimal's flown total is lower; *undecided*: the interval contains 0.  The last stage has a pattern
-of its own (`filter` instead of `measurement`), so its prices are others, too.
+that table, and from the pictures it was made of.  *labelled*: e'Psi e of the errors noted in
+labelled landings, whose scene stays the same all the way.  *flown*: by sight.  *total*: alpha
+regret + beta perception cost, at prices that are the same at all stages of a pattern.  *below*: by
+what share Optimal's flown total is lower; *undecided*: the interval contains 0.  The last stage has
+a pattern of its own (`filter` instead of `measurement`), so its prices are others, too.
 """
 
 
@@ -186,7 +187,7 @@ def main() -> None:
     parser.add_argument("--quick", action="store_true", help="a smoke test of seconds")
     parser.add_argument("--output", type=Path, default=HERE / "results")
     options = parser.parse_args()
-    seeds, trials = (2, 10) if options.quick else (options.seeds, options.trials)
+    seeds, trials = (2, 4) if options.quick else (options.seeds, options.trials)
     started = perf_counter()
     work = (delayed(flown)(seed, trials, options.quick) for seed in range(seeds))
     done = Parallel(n_jobs=options.jobs, return_as="generator")(work)

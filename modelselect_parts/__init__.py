@@ -42,7 +42,10 @@ tables            every table, from arrays
 published         what the authors logged, and the paper prints
 prices            what models cost
 rivals            whom the optimum is compared with: eight policies, the sweep of weights
-flights           landing by what networks see in pictures
+pooling           errors of networks pooled by distance; networks calibrated
+sight             landing by what networks see in pictures
+flights           flights with errors out of a table and by sight, and what they differ by
+learning          rounds of landings that are labelled; what each stage is worth
 measured          landing on errors that real programs made
 plots             which arrays of a run each picture takes
 ================= ==============================================================================

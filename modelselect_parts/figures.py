@@ -314,3 +314,25 @@ def draw_quantiles(names: Sequence[str], altitude: Array, error: Array) -> Figur
     figure.supxlabel("normal quantile")
     figure.supylabel("standardised error")
     return figure
+
+
+@in_our_style()
+def draw_stages(stages: Sequence[str], promised: Array, flown: Mapping[str, Array]) -> Figure:
+    """Draw regret and total in flight by stage, estimates (stages, 2, 2) of each policy.
+
+    The regret of Optimal that its table `promised` (stages,) stands beside that in flight.
+    """
+    figure, axes = plt.subplots(1, 2, figsize=(11.5, 4.8))
+    place = np.arange(len(stages))
+    axes[0].plot(place, promised, ls="", marker="_", ms=26, color=ACCENT, label="promised")
+    for k, (policy, estimates) in enumerate(flown.items()):
+        style = POLICY_STYLE[policy] | {"capsize": 3, "ls": "", "label": policy}
+        for panel, pair in zip(axes, np.moveaxis(estimates, 1, 0), strict=True):
+            mean, half = pair.T
+            panel.errorbar(place + 0.12 * k, mean, np.nan_to_num(half), **style)
+    titles = ("Regret", "α regret + β perception cost")
+    for panel, title in zip(axes, titles, strict=True):
+        panel.set(title=f"{title}, in flight", yscale="log", xlim=(-0.4, len(stages) - 0.2))
+        panel.set_xticks(place, stages)
+    axes[0].legend()
+    return figure

@@ -26,6 +26,7 @@ from modelselect_parts.checks import (
     check_class,
     check_count,
     check_range,
+    check_rng,
 )
 from modelselect_parts.pooling import (
     Labelled,
@@ -108,6 +109,7 @@ def fit_landing(
     generator for it.  The `cost` (W,) is passed on to `fit_suite`.
     """
     check_class("landing", landing, "Aircraft")
+    rng is None or check_rng(rng)
     pictures, path = labelled(measured), landing.path[:-1]
     if bins is not None:
         suite = binned_suite(pictures, path, cost, bins)

@@ -108,7 +108,8 @@ ABOUT = {
     "fit": "how errors of networks are pooled along the way",
     "calibrate": "networks report what is expected where they say what they say",
     "rounds": "of 20 landings that networks are labelled on, flown with what is best until then",
-    "residuals": "CSV for experiment measured, with the columns of notebooks/data/tags.csv, the default",
+    "residuals": "CSV for experiment measured; default: that of a tag detector, "
+    "notebooks/data/tags.csv",
     "out": "where figures and percentages.csv go; default: figures",
     "json": "write means, intervals, schedule and settings",
     "no-figures": "write no figures, no percentages",

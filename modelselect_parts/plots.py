@@ -146,6 +146,21 @@ def plot_quantiles(trained: Trained) -> Figure:
     return figures.draw_quantiles(trained.residuals.names, *flights.by_network(trained.residuals))
 
 
+def plot_stages(result: Result) -> Figure:
+    """Draw what flights by sight cost at each stage, and what tables promised."""
+    check_class("result", result, "Result")
+    if not result.flown:
+        raise ValueError("result: expected what `fly_stages` found in its flown, found nothing")
+    flown = list(result.flown.values())
+    policies = [k for k in flown[0].lost if all(k in each.lost for each in flown)]
+    of_policy = {
+        k: np.array([flights.estimate(each.lost[k], each.totals[k]) for each in flown])
+        for k in policies
+    }
+    promised = np.array([each.promised for each in flown])
+    return figures.draw_stages(list(result.flown), promised, of_policy)
+
+
 def write_figures(result: Result, folder: Path, *, progress: bool = False) -> None:
     """Write every figure to `folder` as PNG; the same run gives the same bytes."""
     check_class("result", result, "Result")
@@ -168,6 +183,8 @@ def write_figures(result: Result, folder: Path, *, progress: bool = False) -> No
             "training": plot_training(result.trained),
             "quantiles": plot_quantiles(result.trained),
         }
+    if result.flown:
+        drawn["stages"] = plot_stages(result)
     for name, figure in drawn.items():
         picture = io.BytesIO()
         figure.savefig(picture, metadata={"Software": None})

@@ -123,7 +123,7 @@ def bootstrapped(
         (np.add.reduceat(k * each, first, axis=1) @ drawn / weight).std(axis=1, ddof=1)
         for each in r
     ]
-    size = np.maximum(np.floor(total.sum(axis=1) ** 2 / (total**2).sum(axis=1)), 2)
+    size = np.maximum(np.floor(total.sum(axis=1) ** 2 / (total**2).sum(axis=1) + 1e-9), 2)
     sizes = np.repeat(size[:, None], len(r), axis=1)
     return replace(suite, sample_size=sizes, standard_error=(here * spread).T[..., None])
 
@@ -132,9 +132,9 @@ def binned_suite(
     pictures: Labelled, path: Array, cost: npt.ArrayLike, bins: int
 ) -> PerceptionSuite:
     """Fit a suite along a `path` (H,) in `bins` of altitude that hold equally many pictures."""
+    edges = altitude_bins(pictures.planned, path, bins)
     with warnings.catch_warnings():  # pictures are taken from further than a short way leads
         warnings.filterwarnings("ignore", "fit_suite: .* residuals count along this trajectory")
-        edges = altitude_bins(pictures.planned, path, bins)
         return fit_suite(pictures.over(pictures.planned), path, cost, bins=edges)
 
 

@@ -94,7 +94,8 @@ def fit_suite(
         rate = _bin_rate(table, everywhere, bins)
     else:
         mean, S, n, rate = kernel_moments(table, everywhere, kernel)
-        price, used = np.where(rate == 1, np.inf, price), near(axes, kernel)
+        price = np.where(rate == 1, np.inf, price) if (rate == 1).any() else price
+        used = near(axes, kernel)
     S = _with_resolution(seen, mean, S)
     v = np.einsum("twii->twi", S)
     _report(seen, mean, v, axes, used)

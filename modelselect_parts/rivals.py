@@ -62,7 +62,7 @@ def policies(
 
     Oracle is that of the authors' code: no model, no error.  Clairvoyant is the Oracle of their
     text: it knows the errors (H, W, p) of every trial beforehand and solves
-    ``prob:model_selection``; it is left out where there are none.  Both are infeasible.  Random is one schedule for all trials, as in
+    ``prob:model_selection``.  Both are infeasible.  Random is one schedule for all trials, as in
     their code.  Best Single (constant) and Greedy (each step alone, coupling ignored) are ours.
     The schedule `optimal` (H,) is that of the solver.
 
@@ -90,7 +90,6 @@ def policies(
         "All Small": constant[0],
     }
     beyond = {k for k in CONSTANT if not problem.is_feasible(schedules[k])}
-    beyond |= {k for k, c in schedules.items() if not len(c)}
     return {"Oracle": None} | {k: c for k, c in schedules.items() if k not in beyond}
 
 

@@ -57,6 +57,7 @@ def gains_for(landing: Aircraft, information: str, suite: PerceptionSuite) -> Ar
     The filter takes the mean square error of the median model at a step for the noise of that
     measurement, and gusts for the noise of the process.
     """
+    check_information(information)
     if not PATTERNS[information].gains:
         return None
     C = landing.task.C

@@ -388,6 +388,7 @@ TASK, PROBLEM, SUITE = record(task), record(problem), record(suite)
 BLEND, RESIDUALS = record(blend), record(measured)
 TRAINED, SEEN, FLOWN = record(trained), record(seen), Arg("result", fresh=flown)
 SEEN_VIEWS = record(lambda: seen_views())
+STAGED = record(lambda: dataclasses.replace(seen(), flown=landing.fly_stages(seen())))
 RELAXATION, FLAG = record(point, "none"), Arg("flag")
 GAP, LIMIT, PATTERN = number(0.25), number(64.0, "none"), word("preview")
 STEPS = index([0, 2, 1, 2])
@@ -1009,9 +1010,9 @@ ROWS: dict[str, tuple[Callable[..., Any], dict[str, Arg]]] = {
     "Settings": (
         Settings,
         {
-            "experiment": word("simulated"),
+            "experiment": word("trained"),
             "preset": word("textbook"),
-            "information": PATTERN,
+            "information": word("measurement"),
             "horizon": count(H),
             "trials": count(3),
             "alpha": number(0.5),
@@ -1022,6 +1023,9 @@ ROWS: dict[str, tuple[Callable[..., Any], dict[str, Arg]]] = {
             "switch_cost": number(0.5),
             "budget": number(2.0, "none"),
             "residuals": Arg("flag"),
+            "fit": word("kernel"),
+            "calibrate": FLAG,
+            "rounds": count(1, "zero", blames="rounds"),
         },
     ),
     "Result.means": (lambda: flown().means(), {}),
@@ -1038,10 +1042,11 @@ ROWS: dict[str, tuple[Callable[..., Any], dict[str, Arg]]] = {
         landing.fly,
         {
             "landing": record(lambda: landing.preset("textbook", H)),
-            "information": PATTERN,
+            "information": word("filter"),
             "s": real(numbered(2, H, 1), blames="errors"),
             "errors": real(numbered(2, H, W, 1), "length-2"),
             "choices": index([0, 2, 1, 2], "none"),
+            "gains": real(numbered(H, 4, 1) / 32, "rank-less"),
         },
     ),
     "run_experiment": (
@@ -1070,8 +1075,9 @@ ROWS: dict[str, tuple[Callable[..., Any], dict[str, Arg]]] = {
             "landing": record(lambda: seen().landing),
             "measured": record(lambda: trained().residuals),
             "cost": real([0, 1], "inf"),
-            "bins": count(2, blames="count altitude"),
+            "bins": count(2, "none", blames="count altitude"),
             "guard": FLAG,
+            "rng": Arg("rng", valid="none", fresh=lambda: np.random.default_rng(3)),
         },
     ),
     "learn": (
@@ -1102,6 +1108,12 @@ ROWS: dict[str, tuple[Callable[..., Any], dict[str, Arg]]] = {
             "policies": names(["Optimal", "Random"], "fewer empty twice"),
             "progress": FLAG,
         },
+    ),
+    "fly_stages": (
+        lambda result, trials=None, progress=False: landing.fly_stages(
+            result, trials, progress=progress
+        )["kernel"].totals["Optimal"],
+        {"result": SEEN, "trials": count(2, "none"), "progress": FLAG},
     ),
     "sample_sizes": (
         landing.sample_sizes,
@@ -1147,6 +1159,7 @@ ROWS: dict[str, tuple[Callable[..., Any], dict[str, Arg]]] = {
         {"trained": TRAINED, "model": Arg("limit", 1, "zero negative")},
     ),
     "plot_training": (landing.plot_training, {"trained": Arg("result", fresh=trained)}),
+    "plot_stages": (landing.plot_stages, {"result": STAGED}),
     "plot_quantiles": (landing.plot_quantiles, {"trained": Arg("result", fresh=trained)}),
     "write_figures": (
         landing.write_figures,

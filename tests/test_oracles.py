@@ -162,6 +162,9 @@ plot_distribution | test_distribution_figure_shows_errors_their_mean_and_deviati
 plot_training | test_training_figure_shows_roots_of_losses_in_logarithms_of_distance | plain roots, read off the figure
 plot_quantiles | test_quantile_figure_shows_standardised_errors_over_normal_quantiles | the standard library's normal quantiles
 plot_gallery | test_gallery_shows_three_landings_and_the_third_again_at_40_pixels | one picture against the other, resized
+tests/test_learning.py
+fly_stages | test_flown_stages_are_flights_of_each_schedule_by_what_then_reads | each flight by itself, with and without errors
+plot_stages | test_the_figure_shows_estimates_of_every_stage | means of flights, read off the figure
 """
 #: Records without behaviour of their own, and the function that fills them.
 RECORDS = {

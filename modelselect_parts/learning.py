@@ -18,6 +18,7 @@ from modelselect_parts.flights import estimate, fly, leads
 from modelselect_parts.networks import Network
 from modelselect_parts.pooling import Labelled, calibrate_all, joined
 from modelselect_parts.sight import Aircraft, Reader, fly_by_sight
+from modelselect_parts.suites import PerceptionSuite
 
 Rng = np.random.Generator
 
@@ -29,6 +30,18 @@ class Skill(NamedTuple):
     pictures: Labelled  #: with the errors of the networks
     readers: Sequence[Reader]  #: the networks, or what calibration makes of them
     seen: Labelled  #: with the errors of readers, none calibrated by the picture that it errs on
+
+
+class Stage(NamedTuple):
+    """What is known of the models, the problem that it poses, and its optimum."""
+
+    name: str
+    suite: PerceptionSuite
+    gains: Array | None  #: (H, n, p), of a pattern that takes them
+    problem: Any  #: of `modelselect`, as is its Schedule
+    optimal: Any
+    seconds: float  #: that the solver took
+    skill: Any = None  #: what networks can do by then, a `Skill`
 
 
 def skill(networks: Sequence[Network], pictures: Labelled, calibrated: bool) -> Skill:

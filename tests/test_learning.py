@@ -1,0 +1,331 @@
+"""Experiment 2 by stages: pooled errors, calibration, rounds of labelled landings, a filter."""
+
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+import numpy as np
+import pytest
+from scipy.stats import t as student
+
+import landing
+import modelselect as ms
+from landing import Settings, fly_stages, learn, run_experiment
+from modelselect_parts import learning, pooling
+from modelselect_parts.flights import fly, leads
+from modelselect_parts.sight import fly_by_sight, gains_for
+from perception import ARCHITECTURE, HIGHEST, LOWEST, MOUNT, Residuals, sample_errors
+
+TINY = {"architecture": ARCHITECTURE[:3], "training": 320, "held_out": 300, "epochs": 4}
+CHOSEN = {"experiment": "trained", "horizon": 20, "trials": 4} | landing.DEFAULTS["trained"]
+PATH = np.array([90.0, 40.0, 10.0, 0.0])
+
+
+@pytest.fixture(scope="module")
+def trained():
+    return learn(0, **TINY)
+
+
+@pytest.fixture(scope="module")
+def result(trained):
+    settings = Settings(**CHOSEN | {"calibrate": True, "rounds": 2})
+    return run_experiment(settings, trained=trained)
+
+
+# ----------------------------------------------------------- synthetic pictures of a known law
+
+
+def pictures(rng, groups=600, size=1, scene=0.0):
+    """Errors z (b + scene part + noise) of two models, uniform in ln z; groups share the scene."""
+    z = np.exp(rng.uniform(np.log(LOWEST + MOUNT), np.log(HIGHEST + MOUNT), groups * size))
+    group = np.repeat(np.arange(groups), size)
+    bias, noise = np.array([[0.2], [-0.05]]), np.array([[0.1], [0.02]])
+    same = scene * rng.normal(size=groups)[group]
+    e = z * (bias + same + noise * rng.normal(size=(2, groups * size)))
+    return pooling.Labelled(z - MOUNT, e, group, z - MOUNT)
+
+
+def test_pooled_moments_are_those_of_the_law_and_of_loops():
+    few = pictures(np.random.default_rng(0))
+    suite = pooling.pooled_suite(few, PATH, [0, 1])
+    z, here = few.altitude + MOUNT, PATH + MOUNT
+    for step, w in np.ndindex(4, 2):
+        k = np.exp(-0.5 * ((np.log(z) - np.log(here[step])) / 0.3) ** 2)
+        a, r = k / k.sum(), few.error[w] / z
+        m = float(a @ r)
+        v = float(a @ (r - m) ** 2 / (1 - a @ a))
+        assert suite.mean[step, w, 0] == pytest.approx(here[step] * m, rel=1e-9)
+        assert suite.variance[step, w, 0] == pytest.approx(here[step] ** 2 * v, rel=1e-9)
+    many = pooling.pooled_suite(pictures(np.random.default_rng(1), 20000), PATH, [0, 1])
+    truth = here[:, None] * [0.2, -0.05]
+    np.testing.assert_allclose(many.mean[..., 0], truth, atol=0.02 * here[0] * 0.05)
+    np.testing.assert_allclose(many.variance[..., 0] ** 0.5, here[:, None] * [0.1, 0.02], rtol=0.05)
+
+
+@pytest.mark.unmutated
+@pytest.mark.parametrize(("size", "scene"), [(1, 0.0), (10, 0.2)])
+def test_standard_errors_are_the_deviation_of_means_over_new_pictures(size, scene):
+    """Where a landing shares its scene, ten pictures of it count as hardly more than one."""
+    rng, found, told = np.random.default_rng(2), [], []
+    for _ in range(60):
+        drawn = pictures(rng, 100, size, scene)
+        suite = pooling.pooled_suite(drawn, PATH, [0, 1])
+        suite = pooling.bootstrapped(suite, drawn, PATH, rng)
+        found.append(suite.mean[..., 0])
+        told.append(suite.standard_error[..., 0])
+    # Of 60 draws a deviation is sure to 1/sqrt(120), 9%; of a pool of 15 to 30 groups to as much.
+    np.testing.assert_allclose(np.mean(told, axis=0), np.std(found, axis=0, ddof=1), rtol=0.3)
+    naive = pooling.pooled_suite(drawn, PATH, [0, 1]).standard_error[..., 0]
+    assert (np.mean(told, axis=0) > 1.5 * naive).all() == (size > 1)
+
+
+def test_sample_sizes_count_landings_not_pictures():
+    drawn = pictures(np.random.default_rng(3), 50, 10)
+    drawn = drawn._replace(planned=np.tile(np.linspace(90, 0, 10), 50))
+    suite = pooling.pooled_suite(drawn, PATH, [0, 1])
+    counted = pooling.bootstrapped(suite, drawn, PATH, np.random.default_rng(0)).sample_size
+    np.testing.assert_array_equal(counted, 50)  # all saw the same way
+    assert suite.sample_size.max() > 200
+
+
+def test_the_guard_takes_the_bootstrap():
+    drawn, cost = pictures(np.random.default_rng(4), 80, 5, 0.3), [0, 1]
+    aircraft = replace(landing.preset("textbook", 4), path=np.append(PATH, 0.0))
+    plain = landing.fit_landing(aircraft, drawn, cost, rng=np.random.default_rng(5))
+    safe = landing.fit_landing(aircraft, drawn, cost, guard=True, rng=np.random.default_rng(5))
+    bound = student.ppf(0.95, plain.sample_size - 1) * plain.standard_error[..., 0]
+    np.testing.assert_allclose(abs(safe.mean - plain.mean)[..., 0], bound)
+    assert (abs(safe.mean) >= abs(plain.mean)).all()
+
+
+@pytest.mark.parametrize(
+    "spoil",
+    [
+        lambda r: replace(r, model=r.model[::-1].copy()),
+        lambda r: replace(r, altitude=r.altitude + (np.arange(6) == 5)),
+    ],
+)
+def test_errors_must_be_of_the_same_pictures(spoil):
+    r = Residuals(["a", "b"], [0, 0, 0, 1, 1, 1], [1.0, 2, 3] * 2, np.arange(6.0))
+    assert pooling.labelled(r).error.tolist() == [[0, 1, 2], [3, 4, 5]]
+    with pytest.raises(ValueError, match="measured: expected all models"):
+        pooling.labelled(spoil(r))
+
+
+# -------------------------------------------------------------------------------- calibration
+
+
+class Fixed:
+    """A network that was told what to say."""
+
+    side = 8
+
+    def __init__(self, says):
+        self.says = says
+
+    def altitude(self, _):
+        return self.says
+
+
+def test_calibration_is_the_expectation_of_what_is_where_so_much_is_said():
+    """ln z ~ N(m, 1), ln z_hat = ln z + N(0, 0.5^2): E[z | z_hat] is known in closed form."""
+    rng, m, prior, noise = np.random.default_rng(6), np.log(20.0), 0.4, 0.3
+    z = np.exp(rng.normal(m, prior, 40000))
+    z_hat = z * np.exp(rng.normal(0, noise, 40000))
+    inside = (z_hat > LOWEST + MOUNT) & (z_hat < HIGHEST + MOUNT)
+    z, z_hat = z[inside], z_hat[inside]
+    said = np.array([12.0, 20.0, 35.0])
+    ready = pooling.calibrate(Fixed(said - MOUNT), z - MOUNT, z_hat - z)
+    keep = prior**2 / (prior**2 + noise**2)
+    expected = np.exp(m + keep * (np.log(said) - m) + prior**2 * (1 - keep) / 2)
+    # A kernel of 0.3 in ln z flattens the relation a little: 7% here.
+    np.testing.assert_allclose(ready.altitude(None) + MOUNT, expected, rtol=0.08)
+    assert ready.side == 8
+    assert abs(expected - said).max() > 0.2 * said.max() * 0.5  # it had something to do
+
+
+def test_errors_after_calibration_are_those_of_maps_that_have_not_seen_the_picture():
+    seen = pictures(np.random.default_rng(7), 40, 3, 0.2)
+    seen = seen._replace(error=0.5 * seen.error)
+    networks = [Fixed(None), Fixed(None)]
+    _, found = pooling.calibrate_all(networks, seen)
+    for picture in (0, 17, 119):
+        fold = seen.group % 5 == seen.group[picture] % 5
+        for w in (0, 1):
+            ready = pooling.calibrate(networks[w], seen.altitude[~fold], seen.error[w, ~fold])
+            said = seen.altitude[picture] + seen.error[w, picture]
+            expected = ready.correct([said])[0] - seen.altitude[picture]
+            assert found.error[w, picture] == pytest.approx(expected, abs=1e-9)
+
+
+# ------------------------------------------------------------------------- rounds, and the flight
+
+
+def test_labels_are_the_errors_of_networks_where_the_drone_is(trained, result):
+    first = result.stages[0]
+    s, choices = np.zeros((3, 20, 1)), np.arange(20) % 3
+    labelled = learning.label_landings(
+        result.landing, first.skill, "measurement", choices, np.random.default_rng(1), s
+    )
+    seed = int(np.random.default_rng(1).integers(2**32))
+    altitude, cost, errors = fly_by_sight(
+        result.landing, trained.networks, "measurement", s, choices, seed
+    )
+    known = len(first.skill.pictures.altitude)
+    new = labelled.error[:, known:].reshape(3, 3, 20)
+    np.testing.assert_allclose(new[choices, :, np.arange(20)].T, errors[..., 0], atol=1e-9)
+    np.testing.assert_allclose(labelled.altitude[known:], altitude[:, :-1].ravel())
+    np.testing.assert_array_equal(labelled.planned[known:], np.tile(result.landing.path[:-1], 3))
+    assert np.bincount(labelled.group)[-3:].tolist() == [20, 20, 20]
+    again = fly_by_sight(
+        result.landing, trained.networks, "measurement", s, choices, seed, label=trained.networks
+    )
+    np.testing.assert_allclose(again[1], cost)  # to be labelled changes no flight
+
+
+def test_regret_of_labels_is_the_quadratic_of_loops():
+    rng = np.random.default_rng(8)
+    error, Psi, choices = rng.normal(size=(2, 3 + 4 * 5)), rng.normal(size=(5, 5)), [0, 1, 1, 0, 1]
+    seen = pooling.Labelled(np.zeros(23), error, np.zeros(23, int), np.zeros(23))
+    found = learning.regret_of_labels(seen, 3, Psi, np.array(choices))
+    for n in range(4):
+        e = [error[w, 3 + 5 * n + step] for step, w in enumerate(choices)]
+        expected = sum(e[i] * Psi[i, j] * e[j] for i in range(5) for j in range(5))
+        assert found[n] == pytest.approx(expected)
+
+
+def test_stages_learn_one_after_the_other_at_the_same_price(result, trained):
+    assert [stage.name for stage in result.stages] == ["kernel", "calibrated", "round 1", "round 2"]
+    held_out = len(trained.residuals.residual) // 3
+    sizes = [len(stage.skill.pictures.altitude) for stage in result.stages]
+    assert np.diff(sizes).tolist() == [0, 400, 400] and sizes[0] == held_out
+    for stage in result.stages:
+        np.testing.assert_array_equal(stage.suite.cost, result.suite.cost)
+        assert stage.optimal.is_optimal
+        ms.check_certificate(stage.problem, stage.optimal)
+    assert result.optimal is result.stages[-1].optimal
+    plain = run_experiment(replace(result.settings, calibrate=False, rounds=0), trained=trained)
+    np.testing.assert_array_equal(plain.suite.mean, result.stages[0].suite.mean)
+    again = run_experiment(replace(result.settings, upsilon=None), trained=trained)
+    np.testing.assert_array_equal(again.suite.mean, result.suite.mean)
+
+
+def test_flown_stages_are_flights_of_each_schedule_by_what_then_reads(result):
+    found = fly_stages(result)
+    assert list(found) == [stage.name for stage in result.stages]
+    s = result.landing.draw_inputs(np.random.default_rng(0).spawn(2)[1], 4)
+    for stage, flown in zip(result.stages, found.values(), strict=True):
+        given = (result.landing, stage.skill.readers, "measurement", s)
+        cost = fly_by_sight(*given, stage.optimal.choices, 0)[1]
+        ideal = fly(result.landing, "measurement", s, np.zeros((4, 20, 1, 1)), None)[1]
+        np.testing.assert_allclose(flown.lost["Optimal"], cost - ideal)
+        paid = stage.problem.beta * stage.problem.perception_term(stage.optimal.choices)
+        np.testing.assert_allclose(flown.totals["Optimal"], 0.6 * (cost - ideal) + paid)
+        assert flown.promised == pytest.approx(stage.problem.control_term(stage.optimal.choices))
+    assert [len(each.labelled) for each in found.values()] == [0, 0, 20, 40]
+
+
+def test_leads_are_paired_shares():
+    totals = {"Optimal": np.array([1.0, 2, 3]), "Greedy": np.array([3.0, 5, 4])}
+    lead, half = leads(totals)["Greedy"]
+    assert lead == pytest.approx(2 / 4)
+    assert half == pytest.approx(student.ppf(0.975, 2) * 1 / np.sqrt(3) / 4)
+
+
+def test_the_report_shows_every_stage(result):
+    text = landing.report_pictures(result)
+    table = text.partition("Optimal at every stage")[2].splitlines()[2:]
+    assert [line.split()[0] for line in table[:2]] == ["kernel", "calibrated"]
+    promised = result.stages[0].problem.control_term(result.stages[0].optimal.choices)
+    assert float(table[0].split()[1]) == pytest.approx(promised, abs=0.06)
+
+
+def test_the_figure_shows_estimates_of_every_stage(result):
+    with pytest.raises(ValueError, match="fly_stages"):
+        landing.plot_stages(result)
+    flown = fly_stages(result)
+    figure = landing.plot_stages(replace(result, flown=flown))
+    for axes, kind in zip(figure.axes, ("lost", "totals"), strict=True):
+        assert [text.get_text() for text in axes.get_xticklabels()] == list(flown)
+        drawn = {c.get_label(): c.lines[0].get_ydata() for c in axes.containers}
+        assert list(drawn) == ["Optimal", "Best Single", "Greedy"]
+        for policy, heights in drawn.items():
+            means = [getattr(each, kind)[policy].mean() for each in flown.values()]
+            np.testing.assert_allclose(heights, means)
+    promised = figure.axes[0].lines[0].get_ydata()
+    np.testing.assert_allclose(promised, [each.promised for each in flown.values()])
+    plt.close(figure)
+
+
+# ------------------------------------------------------------------------------------- the filter
+
+
+def test_gains_are_those_of_the_recursion_with_the_median_error_of_each_step(result):
+    aircraft, suite = result.landing, result.suite
+    assert gains_for(aircraft, "measurement", suite) is None
+    gains = gains_for(aircraft, "filter", suite)
+    A, C = aircraft.task.A, aircraft.task.C
+    push = 0.09 * (C @ C.T + 1e-4 * np.eye(4))
+    sees, P = np.linalg.pinv(C), np.zeros((4, 4))
+    for step in range(20):
+        squares = suite.mean[step, :, 0] ** 2 + suite.variance[step, :, 0]
+        gain = P @ sees.T / (sees @ P @ sees.T + sorted(squares)[1])
+        np.testing.assert_allclose(gains[step], gain, rtol=1e-8, atol=1e-12)
+        P = A @ (np.eye(4) - gain @ sees) @ P @ A.T + push
+
+
+@pytest.mark.parametrize(("preset", "horizon"), [("textbook", 12), ("published", 150)])
+def test_a_filter_flies_as_its_table_promises(preset, horizon):
+    """In the mean, and with the errors that the table describes."""
+    chosen = {"preset": preset, "information": "filter", "horizon": horizon, "trials": 1}
+    run = run_experiment(Settings(**chosen))
+    gains, rng = run.stages[-1].gains, np.random.default_rng(3)
+    s, errors = np.zeros((600, horizon, 1)), sample_errors(run.suite, 600, rng)
+    regret = fly(run.landing, "filter", s, errors, run.optimal.choices, gains)[1]
+    regret -= fly(run.landing, "filter", s, errors, None, gains)[1]
+    promised = run.problem.control_term(run.optimal.choices)
+    assert abs(regret.mean() - promised) <= 5 * regret.std() / np.sqrt(600)
+
+
+def test_a_filter_lands_by_sight(trained):
+    settings = Settings(**CHOSEN | {"information": "filter", "rounds": 1, "trials": 2})
+    run = run_experiment(settings, trained=trained)
+    flown = fly_stages(run, 6)
+    assert list(flown) == ["kernel", "round 1"]
+    assert all(np.isfinite(each.totals["Optimal"]).all() for each in flown.values())
+    assert run.stages[-1].gains.shape == (20, 4, 1)
+
+
+@pytest.mark.parametrize(
+    ("settings", "start"),
+    [
+        ({"fit": "bins"}, "fit: of experiment trained, found 'simulated'"),
+        ({"calibrate": True}, "calibrate: of experiment trained, found"),
+        ({"rounds": 1}, "rounds: of experiment trained, found"),
+        (CHOSEN | {"calibrate": 1}, "calibrate: expected True or False, found 1"),
+        (CHOSEN | {"fit": "spline"}, "fit: expected one of kernel, bins, found 'spline'"),
+        (CHOSEN | {"rounds": 1, "information": "preview"}, "rounds: a flight has no forecast"),
+    ],
+)
+def test_settings_refuse(settings, start):
+    with pytest.raises(ValueError) as caught:
+        Settings(**settings)
+    assert str(caught.value).startswith(start)
+
+
+def test_the_stage_table_is_the_same_whatever_the_number_of_processes(tmp_path):
+    script = Path(__file__).resolve().parents[1] / "benchmarks" / "stages.py"
+    pytest.importorskip("joblib", reason="of the extra benchmarks")
+    written = []
+    for jobs in ("1", "2"):
+        out = tmp_path / jobs
+        command = [sys.executable, script, "--quick", "--jobs", jobs, "--output", out]
+        subprocess.run(command, check=True, capture_output=True, timeout=100)
+        written.append((out / "stages.csv").read_text(encoding="utf-8"))
+    assert written[0] == written[1]
+    text = (out / "stages.md").read_text(encoding="utf-8")
+    for stage in ("bins", "kernel", "calibrated", "on-policy", "filter"):
+        assert f"\n| {stage} | " in text
+    assert (out / "stages.png").exists()
