@@ -1,29 +1,9 @@
 # %% [markdown]
 # ## Exercise 1
 #
-# Row $k$ of a table is the schedule with $k$ steps of the first model: step $t$ runs it exactly if
-# $t < k$. That makes $64 \cdot 151$ schedules, so one tries them all. b5 for 114 steps and then b0
-# keeps 61% of the lead: most of it is in *roughly when*, the rest in single draws.
-
-
-# %%
-def one_switch(problem):
-    """Return first, last, k of the least total cost."""
-    H, W, _ = problem.mean.shape
-    early, least = np.arange(H) < np.arange(H + 1)[:, None], (np.inf, None)
-    for first, last in np.ndindex(W, W):
-        cost = problem.total_cost(np.where(early, first, last))
-        k = int(cost.argmin())
-        least = min(least, (cost[k], (first, last, k)), key=lambda pair: pair[0])
-    return least[1]
-
-
-# %% [markdown]
-# ## Exercise 2
-#
 # A flight that is bad for one policy is bad for the other: most of a total is the gusts, which
 # both meet. In the difference that drops out. Flown apart, the variances of both means add up:
-# under `causal`, over a thousand flights where five will do.
+# under `causal`, over a thousand flights where a handful will do.
 
 
 # %%
@@ -35,7 +15,7 @@ def flights_needed(a, b):
 
 
 # %% [markdown]
-# ## Exercise 3
+# ## Exercise 2
 #
 # `pull[t]` sums up what the errors decided so far do at step $t$. Within 8% of the optimum from the
 # front and 4% from the back, where Greedy pays almost twelve times as much (beyond $\alpha
@@ -56,7 +36,7 @@ def adding_up(problem, order):
 
 
 # %% [markdown]
-# ## Exercise 4
+# ## Exercise 3
 #
 # If the constant is best at some $r$, it is so at every smaller one, so that bisection finds the
 # threshold: about 11 for noise, 2.5 for an offset. An offset of one step meets those of all others,
