@@ -12,7 +12,7 @@ import modelselect as ms
 from landing import Settings
 from modelselect_parts import measured
 from modelselect_parts.flights import half_width
-from perception import Residuals
+from perception import Kernel, Residuals, fit_suite, read_residuals, with_dropouts
 
 ROOT = Path(landing.__file__).parent
 CHOSEN = {"experiment": "measured"} | landing.DEFAULTS["measured"]
@@ -108,16 +108,46 @@ def test_files_of_others_are_flown_too(tmp_path):
         landing.report_measured(simulated)
 
 
-def test_the_script_measures_the_committed_errors():
-    pytest.importorskip("cv2", reason="OpenCV comes with the extra `data`")
-    path = ROOT / "notebooks" / "data" / "tags.py"
-    spec = importlib.util.spec_from_file_location("tags", path)
-    tags = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(tags)
-    found = tags.text(tags.rows(range(6))).splitlines()
-    for line, known in zip(found, path.with_suffix(".csv").read_text().splitlines(), strict=False):
+def script(name):
+    path = ROOT / "notebooks" / "data" / f"{name}.py"
+    spec = importlib.util.spec_from_file_location(name, path)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module, path.with_suffix(".csv").read_text().splitlines()
+
+
+@pytest.mark.parametrize(("name", "needs"), [("tags", ("cv2",)), ("stereo", ("cv2", "skimage"))])
+def test_the_script_measures_the_committed_errors(name, needs):
+    for package in needs:
+        pytest.importorskip(package, reason="of the extra `data`")
+    module, committed = script(name)
+    found = module.text(module.rows(range(6) if name == "tags" else 6)).splitlines()
+    assert len(found) > 30
+    for line, known in zip(found, committed, strict=False):
         here, there = (text.split(",") for text in (line, known))
         assert (here[:2], here[3]) == (there[:2], there[3])  # all but the milliseconds
         if here[0] != "model":
             assert (here[4] == "") == (there[4] == "")
             assert here[4] == "" or float(here[4]) == pytest.approx(float(there[4]), abs=2e-4)
+
+
+def test_stereo_matchers_trade_time_for_error_and_choosing_among_them_pays():
+    """A cart drives up to a motorcycle, from 4.8 to 2.3 m: see notebooks/data/stereo.py."""
+    residuals = read_residuals(ROOT / "notebooks" / "data" / "stereo.csv")
+    price, H = measured.latencies(residuals), 50
+    assert price.max() / price.min() > 200
+    way = {"distance": np.linspace(4.8, 2.3, H)}
+    near = Kernel(0.3, log=["distance"], relative="distance")
+    table = replace(residuals, ordered=True)
+    suite = fit_suite(table, way, price, kernel=near)
+    missed = np.asarray(suite.miss_rate)
+    assert missed[0].mean() > 2 * missed[-1].mean()  # from afar they say nothing more often
+    suite = with_dropouts(suite, missed, ([0.0], [0.3**2]))
+    task = ms.ControlTask([[1, 0.1], [0, 1]], [[0], [0.1]], [[1], [0]], np.eye(2), [[0.1]], H)
+    free = ms.SelectionProblem.from_suite(ms.psi(task, "preview"), suite)
+    constant = np.repeat(np.arange(7)[:, None], H, axis=1)
+    level = np.median(free.control_term(constant)) / free.perception_term(constant).mean()
+    problem = replace(free, beta=0.3 * level)
+    best = ms.solve(problem)
+    assert best.is_optimal and len(set(best.choices.tolist())) > 2
+    assert problem.total_cost(constant).min() > 1.15 * best.cost
