@@ -25,6 +25,7 @@ from modelselect_parts.checks import Choices as Indices
 from modelselect_parts.measurements import Residuals
 from modelselect_parts.suites import LARGEST, check_names
 
+MOST_WEIGHTS = 1 << 18  # that are held at a time: 2 MB
 Path = ArrayLike | Mapping[str, ArrayLike]  #: one operating variable, or several by name
 Axes = dict[str, tuple[Array, Array]]  #: by variable: where residuals were made, and the path
 
@@ -107,15 +108,17 @@ def kernel_moments(
     H, W, p = len(path_of(axes)), len(residuals.names), r.shape[1]
     mean, S = np.zeros((H, W, p)), np.zeros((H, W, p, p)) + np.eye(p)
     n, rate = np.full((H, W), 2.0), np.ones((H, W))
-    for t, w, rows, k in weights(residuals, axes, kernel):
+    for steps, w, rows, k in weights(residuals, axes, kernel):
         seen = ~gone[rows]
-        if (near := k[seen].sum()) < 2:
-            continue
-        a, e = k[seen] / near, r[rows[seen]]
-        n[t, w], rate[t, w] = 1 / (a @ a), 1 - near / k.sum()
+        e, near = r[rows[seen]], k[:, seen].sum(axis=1)
+        known = near >= 2
+        t = steps[known]
+        a = k[np.ix_(known, seen)] / near[known, None]
+        n[t, w] = 1 / (left := (a**2).sum(axis=1))
+        rate[t, w] = 1 - near[known] / k[known].sum(axis=1)
         mean[t, w] = a @ e
-        d = e - mean[t, w]
-        S[t, w] = (a * d.T) @ d / (1 - a @ a)
+        d = e - mean[t, w][:, None]
+        S[t, w] = np.einsum("ti,tip,tiq->tpq", a, d, d) / (1 - left)[:, None, None]
     z = scale(axes, kernel)
     return mean * z, S * z[..., None] ** 2, n, np.where(rate < 1e-12, 0.0, rate)
 
@@ -130,20 +133,28 @@ def near(axes: Axes, kernel: Kernel) -> Mask:
 
 def weights(
     residuals: Residuals, axes: Axes, kernel: Kernel
-) -> Iterator[tuple[int, int, Indices, Array]]:
-    """Yield each step and model, the rows of its looks, and how much each counts."""
+) -> Iterator[tuple[Indices, int, Indices, Array]]:
+    """Yield some steps (T,), a model, the rows (n,) of its looks, and how much each counts (T, n).
+
+    Of a model with many looks they are fewer steps at a time.
+    """
     points, path = _coordinates(axes, kernel)
     for w, name in enumerate(residuals.names):
         rows = np.flatnonzero(residuals.model == w)
-        for t, here in enumerate(path):
-            k = np.exp(-0.5 * np.square((points[rows] - here) / kernel.width).sum(axis=1))
-            if not (near := k.sum()) >= 2:
-                place = ", ".join(f"{key} {h[t]:g}" for key, (_, h) in axes.items())
+        at_once = max(1, MOST_WEIGHTS // max(1, len(rows)))
+        for first in range(0, len(path), at_once):
+            here = path[first : first + at_once]
+            d = (points[rows] - here[:, None]) / kernel.width
+            k = np.exp(-0.5 * np.square(d).sum(axis=2))
+            steps = np.arange(first, first + len(here))
+            if not (near := k.sum(axis=1)).min(initial=2) >= 2:
+                t = int(np.flatnonzero(~(near >= 2))[0])
+                place = ", ".join(f"{key} {h[first + t]:g}" for key, (_, h) in axes.items())
                 raise ValueError(
-                    f"residuals: expected 2 or more of {name} near {place}, found {near:.2g} "
+                    f"residuals: expected 2 or more of {name} near {place}, found {near[t]:.2g} "
                     "within the kernel; widen it or measure more"
                 )
-            yield t, w, rows, k
+            yield steps, w, rows, k
 
 
 def _coordinates(axes: Axes, kernel: Kernel) -> tuple[Array, Array]:

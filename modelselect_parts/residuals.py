@@ -127,8 +127,9 @@ def bootstrap_errors(
         r, weighed = relate(r, axes, kernel), weights(residuals, axes, kernel)
         H, W = len(path_of(axes)), len(residuals.names)
         drawn = np.empty((N, H, W, r.shape[1]))
-        for t, w, rows, k in weighed:
-            drawn[:, t, w] = r[check_rng(rng).choice(rows, N, p=k / k.sum())]
+        for steps, w, rows, k in weighed:
+            for t, each in zip(steps, k, strict=True):
+                drawn[:, t, w] = r[check_rng(rng).choice(rows, N, p=each / each.sum())]
         return drawn * scale(axes, kernel)
     cell, visited, n = _sort_into_bins(residuals, axes, bins)
     first = np.cumsum(n).reshape(n.shape) - n  # where each cell starts, once they are in order
