@@ -25,9 +25,11 @@ From the shell, ``python landing.py --help``; from a notebook::
 from __future__ import annotations
 
 import os
+import signal
 
 if __name__ == "__main__":  # before NumPy: threads slow down small matrices, tenfold if busy
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    signal.signal(signal.SIGINT, lambda *_: os._exit(130))  # nothing is begun while we import
 
 import argparse
 import hashlib
@@ -189,14 +191,12 @@ def _simulated(landing: Preset, run: Settings, rng: Rng, _: Trained | None) -> P
 
 def _trained(landing: Preset, run: Settings, rng: Rng, trained: Trained) -> PerceptionSuite:
     """Fit what the models did on held-out pictures along the landing (``subsec:expAirsim``)."""
-    return _fitted(landing, run, rng, trained.networks, pooling.labelled(trained.residuals))
+    return _fitted(landing, run, rng, learning.of_held_out(trained))
 
 
-def _fitted(
-    landing: Preset, run: Settings, rng: Rng, networks: Any, seen: pooling.Labelled
-) -> PerceptionSuite:
-    cost = model_cost(networks, run.cost)
-    return fit_landing(landing, seen, cost, FITS[run.fit], rng=rng)
+def _fitted(landing: Preset, run: Settings, rng: Rng, able: learning.Skill) -> PerceptionSuite:
+    cost = model_cost(able.networks, run.cost)
+    return fit_landing(landing, able.seen, cost, FITS[run.fit], rng=rng)
 
 
 def _measured(landing: Preset, run: Settings, rng: Rng, _: Trained | None) -> PerceptionSuite:
@@ -353,7 +353,7 @@ def _learning(
             given = (able, run.information, last.optimal.choices, rng, s, last.gains)
             able = able._replace(pictures=learning.label_landings(landing, *given))
         able = learning.skill(able.networks, able.pictures, run.calibrate)
-        suite = _fitted(landing, run, rng, able.networks, able.seen)
+        suite = _fitted(landing, run, rng, able)
         known += [_posed(f"round {k}" if k else "calibrated", run, landing, suite, able)[1]]
     return known
 
@@ -362,9 +362,8 @@ def _known(
     run: Settings, landing: Preset, trained: Any, rng: Rng
 ) -> tuple[Settings, list[learning.Stage]]:
     """Return the stages of a run, one unless networks learn, and the Upsilon of the first."""
-    suite, able = EXPERIMENTS[run.experiment](landing, run, rng, trained), None
-    if run.experiment == "trained":
-        able = learning.skill(trained.networks, pooling.labelled(trained.residuals), False)
+    suite = EXPERIMENTS[run.experiment](landing, run, rng, trained)
+    able = learning.of_held_out(trained) if run.experiment == "trained" else None
     run, stage = _posed(run.fit, run, landing, suite, able)
     return run, _learning(run, landing, stage, rng) if able else [stage]
 
@@ -397,8 +396,8 @@ def run_experiment(
         paid = np.zeros(run.trials) + (0 if choices is None else problem.perception_term(choices))
         reward = -run.alpha * control - problem.beta * paid
         flown[policy] = Flights(choices, altitude, control, paid, reward)
-    found = (run, landing, suite, problem, optimal, seconds, flown, trained)
-    return Result(*found, stages=tuple(known))
+    posed = run, landing, suite, problem, optimal, seconds
+    return Result(*posed, flown, trained, stages=tuple(known))
 
 
 # --------------------------------------------------------------------- models trained on pictures
@@ -675,6 +674,7 @@ def summary(result: Result) -> dict[str, Any]:
             policies[policy] |= {quantity: mean, f"{quantity}_interval": interval}
     used, kept = asdict(result.settings).items(), (*LIMITS, *LEARNING)
     front = result.front and {k: np.asarray(v).tolist() for k, v in result.front._asdict().items()}
+    more = {"front": front, "stages": result.flown and learning.in_numbers(result.flown)}
     return {
         "policies": policies,
         "schedule": result.optimal.choices.tolist(),
@@ -682,7 +682,7 @@ def summary(result: Result) -> dict[str, Any]:
         "gap": result.optimal.gap,
         "solve_seconds": result.seconds,
         "settings": {k: v for k, v in used if k not in kept or v != getattr(Settings, k)},
-    } | ({"front": front} if front else {})
+    } | {k: v for k, v in more.items() if v}
 
 
 # -------------------------------------------------------------------------------- command line
@@ -747,4 +747,5 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     sys.exit(main())

@@ -35,6 +35,9 @@ def check_targets(out: Path | None, path: Path | None) -> None:
             check_class(name, place, "Path")
     if out:
         _try("--out", out / "any", f"a writable folder, found {out}")
+        for taken_name in sorted(out.glob("*.*")):  # by what would be a figure or a table
+            if taken_name.suffix in (".png", ".csv") and taken_name.is_dir():
+                raise ValueError(f"--out: expected files, found the folder {taken_name}")
     if path:
         taken = out and path.absolute() in (out.absolute(), *out.absolute().parents)
         _try("--json", path, f"a file in a writable folder, found {path}", taken=bool(taken))

@@ -16,9 +16,10 @@ import numpy as np
 from modelselect_parts.checks import Array, Choices
 from modelselect_parts.flights import estimate, fly, leads
 from modelselect_parts.networks import Network
-from modelselect_parts.pooling import Labelled, calibrate_all, joined
+from modelselect_parts.pooling import Labelled, calibrate_all, joined, labelled
 from modelselect_parts.sight import Aircraft, Reader, fly_by_sight
 from modelselect_parts.suites import PerceptionSuite
+from perception import Trained
 
 Rng = np.random.Generator
 
@@ -48,6 +49,11 @@ def skill(networks: Sequence[Network], pictures: Labelled, calibrated: bool) -> 
     """Return what W networks can do after labels on `pictures`, `calibrated` by them or not."""
     plain = (networks, pictures)
     return Skill(*plain, *(calibrate_all(networks, pictures) if calibrated else plain))
+
+
+def of_held_out(trained: Trained) -> Skill:
+    """Return what trained networks can do: they were labelled on held-out pictures."""
+    return skill(trained.networks, labelled(trained.residuals), False)
 
 
 def label_landings(
@@ -116,6 +122,19 @@ def fly_rivals(
     paid = {k: problem.beta * float(problem.perception_term(c)) for k, c in chosen.items()}
     totals = {k: problem.alpha * lost[k] + paid[k] for k in chosen}
     return Flown(float(problem.control_term(chosen["Optimal"])), lost, totals)
+
+
+def in_numbers(flown: Mapping[str, Flown]) -> dict[str, dict[str, Any]]:
+    """Return what stages promised and what came of it as plain numbers, for a file."""
+    found: dict[str, dict[str, Any]] = {}
+    for stage, each in flown.items():
+        found[stage] = {"promised": each.promised}
+        for policy, lost in each.lost.items():
+            regret, total = estimate(lost, each.totals[policy]).tolist()
+            found[stage][policy] = {"regret": regret, "total": total}
+        for policy, lead in leads(each.totals).items():
+            found[stage][policy]["optimal below"] = list(map(float, lead))
+    return found
 
 
 def by_stage(flown: Iterable[Flown]) -> tuple[Array, Array, list[dict[str, tuple[float, float]]]]:

@@ -248,6 +248,25 @@ def test_ctrl_c_in_a_shell(tmp_path):
 
 
 @pytest.mark.unmutated
+def test_ctrl_c_while_the_modules_are_imported_leaves_no_traceback(tmp_path):
+    (tmp_path / "numpy.py").write_text("print('begins', flush=True); import time; time.sleep(60)")
+    environment, pipe = os.environ | {"PYTHONPATH": str(tmp_path)}, subprocess.PIPE
+    command = [sys.executable, "-B", landing.__file__]
+    with subprocess.Popen(command, env=environment, stdout=pipe, stderr=pipe) as child:
+        child.stdout.readline()
+        child.send_signal(signal.SIGINT)
+        out, err = child.communicate(timeout=60)
+    assert (child.returncode, out, err) == (130, b"", b"")
+
+
+def test_a_folder_where_a_figure_should_be_is_found_before_the_work(place, monkeypatch):
+    monkeypatch.setattr(landing, "run_experiment", lambda *_, **__: pytest.fail("it worked"))
+    (place / "shown" / "psi.png").mkdir(parents=True)
+    status, _, err = run(["--out", "shown"])
+    assert status == 2 and "found the folder shown/psi.png" in err
+
+
+@pytest.mark.unmutated
 @pytest.mark.skipif(not os.path.exists("/dev/full"), reason="a full disk of Linux")
 def test_a_full_disk_behind_the_output_is_one_line():
     command = [sys.executable, landing.__file__, "--horizon", "4", "--trials", "2", "--no-figures"]

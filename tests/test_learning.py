@@ -227,6 +227,18 @@ def test_flown_stages_are_flights_of_each_schedule_by_what_then_reads(result):
     assert [len(each.labelled) for each in found.values()] == [0, 0, 20, 40]
 
 
+def test_the_file_of_results_has_a_row_for_every_stage(result):
+    flown = fly_stages(result)
+    rows = landing.summary(replace(result, flown=flown))["stages"]
+    assert list(rows) == [stage.name for stage in result.stages]
+    for stage, row in rows.items():
+        for policy in ("Optimal", "Best Single", "Greedy"):
+            assert row[policy]["regret"][0] == pytest.approx(flown[stage].lost[policy].mean())
+            assert row[policy]["total"][0] == pytest.approx(flown[stage].totals[policy].mean())
+        assert row["Greedy"]["optimal below"] == [0, 0]  # without a forecast steps decouple
+    assert "stages" not in landing.summary(result)
+
+
 def test_leads_are_paired_shares():
     totals = {"Optimal": np.array([1.0, 2, 3]), "Greedy": np.array([3.0, 5, 4])}
     lead, half = leads(totals)["Greedy"]
