@@ -623,17 +623,16 @@ def report_pictures(result: Result, *, progress: bool = False) -> str:
     rms, edges, by_altitude = flights.errors_by_altitude(altitude, errors)
     sizes = np.array([(network.parameters, network.multiply_adds) for network in networks])
     parts = [tables.table_of_errors(residuals.names, sizes, rms, edges, by_altitude)]
-    within_reach = flights.sensitivities(result.landing.task)
-    rows = ms.PATTERNS.items()
+    rows, within_reach = ms.PATTERNS.items(), flights.sensitivities(result.landing.task)
     patterns = [k for k, row in rows if not row.foresight and (row.gains or k in within_reach)]
     for information in sorted(patterns, key=lambda name: name != run.information):
         shown = ("Optimal", "All Large", "All Small") if len(parts) > 1 else FLOWN
         judged, found = judge_on_pictures(result, information, shown, progress=progress)
         compared = flights.compare(found, run.alpha, judged.problem.beta)
         parts += [tables.table_of_regrets(information, list(found), *compared, UNITS[run.cost])]
-    flown = result.flown or fly_stages(result, progress=progress)
-    table = learning.by_stage(flown.values())
-    parts += [tables.table_of_stages(list(flown), *table, run.trials)]
+    if not ms.PATTERNS[run.information].foresight:
+        flown = result.flown or fly_stages(result, progress=progress)
+        parts += [tables.table_of_stages(*learning.by_stage(flown), run.trials)]
     counts = [n for n in SIZES if n <= len(altitude)]
     regret = sample_sizes(result, counts)
     shares = np.array([flights.estimate(*pair) for pair in regret])
@@ -707,8 +706,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     says what was wrong.
     """
     parser = _parser()
-    first = parser.parse_known_args(argv)[0].experiment
-    parser.set_defaults(**DEFAULTS.get(first, {}))
+    parser.set_defaults(**DEFAULTS.get(parser.parse_known_args(argv)[0].experiment, {}))
     given = vars(parser.parse_args(argv))
     out, path, bare, quiet = (given.pop(key) for key in ("out", "json", "no_figures", "quiet"))
     seconds = given.pop("front")
@@ -723,7 +721,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         if seconds is not None:
             front = whole_front(result.problem, seconds, progress=not quiet)
             result = replace(result, front=front)
-        if trained and not (bare and quiet):
+        sighted = trained and not ms.PATTERNS[settings.information].foresight
+        if sighted and (path or not (bare and quiet)):
             result = replace(result, flown=fly_stages(result, progress=not quiet))
         if not quiet:
             print(report(result))

@@ -125,27 +125,34 @@ def fly_rivals(
 
 
 def in_numbers(flown: Mapping[str, Flown]) -> dict[str, dict[str, Any]]:
-    """Return what stages promised and what came of it as plain numbers, for a file."""
+    """Return what stages promised and what came of it as plain numbers, None where unknown."""
+
+    def plain(pair: Iterable[float]) -> list[float | None]:
+        return [None if math.isnan(value) else float(value) for value in pair]
+
     found: dict[str, dict[str, Any]] = {}
     for stage, each in flown.items():
         found[stage] = {"promised": each.promised}
         for policy, lost in each.lost.items():
-            regret, total = estimate(lost, each.totals[policy]).tolist()
+            regret, total = map(plain, estimate(lost, each.totals[policy]))
             found[stage][policy] = {"regret": regret, "total": total}
         for policy, lead in leads(each.totals).items():
-            found[stage][policy]["optimal below"] = list(map(float, lead))
+            found[stage][policy]["optimal below"] = plain(lead)
     return found
 
 
-def by_stage(flown: Iterable[Flown]) -> tuple[Array, Array, list[dict[str, tuple[float, float]]]]:
-    """Return promises (stages,), estimates of what came (stages, 3, 2), and leads of each stage.
+def by_stage(
+    flown: Mapping[str, Flown],
+) -> tuple[list[str], Array, Array, list[dict[str, tuple[float, float]]]]:
+    """Return names, promises (stages,), what came (stages, 3, 2), and the leads of each stage.
 
-    Estimates are those of Optimal's regret by labelled landings (NaN without), regret and total.
+    What came are estimates of Optimal's regret by labelled landings (NaN without), of its regret
+    and of its total in flight.
     """
     promised, came, ahead = [], [], []
-    for each in flown:
+    for each in flown.values():
         some = estimate(each.labelled) if len(each.labelled) else np.full((1, 2), math.nan)
         came.append([*some, *estimate(each.lost["Optimal"], each.totals["Optimal"])])
         promised.append(each.promised)
         ahead.append(leads(each.totals))
-    return np.array(promised), np.array(came), ahead
+    return list(flown), np.array(promised), np.array(came), ahead

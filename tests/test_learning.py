@@ -237,6 +237,15 @@ def test_the_file_of_results_has_a_row_for_every_stage(result):
             assert row[policy]["total"][0] == pytest.approx(flown[stage].totals[policy].mean())
         assert row["Greedy"]["optimal below"] == [0, 0]  # without a forecast steps decouple
     assert "stages" not in landing.summary(result)
+    alone = landing.summary(replace(result, flown=fly_stages(result, 1)))["stages"]["kernel"]
+    assert alone["Optimal"]["total"][1] is None and alone["Greedy"]["optimal below"][1] is None
+
+
+def test_a_forecast_is_no_flight_by_sight(trained):
+    run = run_experiment(Settings(**CHOSEN | {"information": "preview"}), trained=trained)
+    assert "Optimal at every stage" not in landing.report_pictures(run)
+    with pytest.raises(ValueError, match="found 'preview'"):
+        fly_stages(run)
 
 
 def test_leads_are_paired_shares():
