@@ -28,6 +28,14 @@ def trained():
     return learn(0, **TINY)
 
 
+@pytest.fixture(autouse=True)
+def few_sizes(monkeypatch):
+    """No long table of sample sizes, which test_trained.py has."""
+    some = np.full((2, 2, 3), 0.1)
+    monkeypatch.setattr(landing, "sample_sizes", lambda *_, **__: some)
+    monkeypatch.setattr(landing, "SIZES", (50, 100))
+
+
 @pytest.fixture(scope="module")
 def result(trained):
     settings = Settings(**CHOSEN | {"calibrate": True, "rounds": 2})

@@ -48,7 +48,14 @@ def result(request, trained):
 
 
 @pytest.fixture
-def tiny(monkeypatch):
+def few_sizes(monkeypatch):
+    """A short table of sample sizes."""
+    short = partial(landing.sample_sizes, repeats=2, fresh=200)
+    monkeypatch.setattr(landing, "sample_sizes", short)
+
+
+@pytest.fixture
+def tiny(monkeypatch, few_sizes):
     """The command line with networks that are learned in a second."""
     monkeypatch.setattr(landing, "learn", partial(learn, **TINY))
 
@@ -72,7 +79,7 @@ def test_counted_costs_by_hand(trained):
     assert landing.model_cost(trained.networks, "counted") == pytest.approx(expected, rel=1e-14)
 
 
-def test_milliseconds_stay_what_they_are_under_every_pattern(trained):
+def test_milliseconds_stay_what_they_are_under_every_pattern(trained, few_sizes):
     limits = {"switch_cost": 2.5, "budget": HORIZON * 18.4 - 1}
     chosen = {"trials": 3, "cost": "latency", "horizon": HORIZON}
     run = run_experiment(Settings(**CHOSEN | chosen | limits), trained=trained)
@@ -248,7 +255,7 @@ def test_predicted_regret_is_that_of_the_error_models(result):
         assert total >= (0.6 * least.predicted + 0.4 * least.paid) * (1 - 1e-9)
 
 
-def test_limits_keep_their_ratio_to_the_price_under_every_pattern(trained):
+def test_limits_keep_their_ratio_to_the_price_under_every_pattern(trained, few_sizes):
     small = {"trials": 2, "horizon": HORIZON}
     free = run_experiment(Settings(**CHOSEN | small), trained=trained)
     upsilon, least = free.settings.upsilon, float(free.suite.cost[0]) * len(free.suite.mean)
