@@ -96,9 +96,10 @@ plt.show()
 # $$J = \frac{(z - 2\varepsilon)^2 + 2(z + \varepsilon)^2}{9} = \frac{z^2}{3} +
 # \frac23 \varepsilon^2 .$$
 #
-# Regret $\frac23 (e_0 + e_1)^2$, whatever $x_0$ and $s$: to leave a minimum is free to first
-# order. Errors $(1, -1)$ cost nothing. (`eq:relCtrlCost` asks for a strict inequality; equality
-# does no harm.)
+# Regret $\frac23 (e_0 + e_1)^2$, whatever $x_0$ and $s$: to leave a minimum is free to first order.
+# We write it $e^\top \Psi e$, with all errors in one column $e$; here each entry of the matrix
+# $\Psi$ is $\frac23$. Errors $(1, -1)$ cost nothing. (`eq:relCtrlCost` asks for a strict
+# inequality; equality does no harm.)
 #
 # **Look on the way.** Before $u_1$ let it see $x_1$, and believe $\hat s_1$ as before: $u_1 =
 # -(x_1 + \hat s_1)/2$. **Predict** what $(1, -1)$ costs now.
@@ -132,14 +133,15 @@ for looks in (False, True):
 #
 # where $q_t = (A - BK_t)^\top (P_{t+1} C s_t + q_{t+1})$, $q_H = 0$, is what later inputs ask for.
 # Every controller here uses this formula with what it *believes*. So only wrong beliefs count.
-# With $S_t = G_t G_t^\top$:
+# Let $m_t$ be the error of the state that it believes, $q(e)$ the recursion fed $e$ in place of $s$,
+# and $S_t = G_t G_t^\top$:
 #
 # $$e^\top \Psi e = \sum_t |\mathrm{row}_t|^2, \qquad \mathrm{row}_t = G_t^{-1} B^\top \big(P_{t+1}
 # (A m_t + C e_t) + q_{t+1}(e)\big).$$
 #
 # | pattern | memory: error $m_t$ of its state | now: $C e_t$? | foresight: $q(e)$? | a robot |
 # |---|---|---|---|---|
-# | `open_loop` | $m_{t+1} = A m_t + C e_t$ | yes | yes | an arm replays its plan |
+# | `open_loop` | $m_0 = 0$, $m_{t+1} = A m_t + C e_t$ | yes | yes | an arm replays its plan |
 # | `preview` | 0: it sees $x_t$ | yes | yes | a car sees the road ahead |
 # | `causal` | 0 | yes | no | a drone senses the wind of now |
 # | `measurement` | $C e_t$: it sees $x_t + C e_t$ | no | no | a drone reads its altitude off a picture |
@@ -151,7 +153,8 @@ for looks in (False, True):
 # On the two steps ($P_2 = 1$, $S_1 = 2$, $A - BK_1 = P_1 = \frac12$, $S_0 = \frac32$) `preview` pays
 # $\frac12 e_1^2 + \frac23 (\frac12 e_0 + \frac12 e_1)^2$, which is $\frac12$ for $(1, -1)$;
 # `open_loop` remembers $m_1 = e_0$ and pays $\frac12 (e_0 + e_1)^2 + \frac16 (e_0 + e_1)^2$;
-# `causal` $\frac12 e_1^2 + \frac16 e_0^2$. In ten lines:
+# `causal` $\frac12 e_1^2 + \frac16 e_0^2$. In code, each row is a matrix that multiplies $e$; stacked
+# they are $Y$, and $\Psi = Y^\top Y$:
 
 # %%
 TABLE = {  # memory, from A m_{t-1}, C e_{t-1}, C e_t; now; foresight
@@ -190,13 +193,13 @@ for information in TABLE:
 # **A forecast refreshed at every step** (MPC), the commonest of all, is no row of the table, and
 # simpler. Step $t$ acts on the forecast made at $t$, with errors $e^{(t)}$ of its own, and pays
 # $|\mathrm{row}_t\, e^{(t)}|^2$ of `preview`. No later step uses that forecast again: steps
-# decouple, however its errors correlate among themselves, and one minimum a step is right. (With
-# one stale forecast, errors of different steps meet.) Exercise 2 builds it.
+# decouple, however its errors correlate among themselves, and the cheapest model of each step is
+# best. (With one stale forecast, errors of different steps meet.) Exercise 2 builds it.
 #
 # ## Read off a boat
 #
-# A boat holds its place. Waves carry it at $s_t$ (m/s), a mooring pulls it back, a thruster
-# pushes; offset and thrust are charged, $H = 40$ steps of 0.2 s.
+# A boat holds its place; its state is offset and speed. Waves carry it at $s_t$ (m/s), a mooring
+# pulls it back, a thruster pushes; offset and thrust are charged, $H = 40$ steps of 0.2 s.
 
 # %%
 dt, H, rng = 0.2, 40, np.random.default_rng(1)
@@ -226,7 +229,7 @@ time = dt * np.arange(H + 1)
 figure, (top, bottom) = plt.subplots(2, sharex=True, figsize=(10, 6.6), height_ratios=[2, 3])
 top.plot(time[:-1], waves, color=BLACK, label="true $s$")
 top.plot(time[:-1], estimate, "o--", color=ORANGE, ms=5, label="estimated $\\hat s$")
-flown = {"the truth": ms.run_controller(boat, x0, waves, waves)}
+flown = {"the truth, either": ms.run_controller(boat, x0, waves, waves)}
 for information in ("open_loop", "preview"):
     label = f"estimates, {information}"
     flown[label] = ms.run_controller(boat, x0, waves, estimate, information)
@@ -287,7 +290,8 @@ figure.supylabel("step $t$")
 plt.show()
 
 # %% [markdown]
-# The rows say why. One wrong estimate, $e_{20} = 1$, puts off these commands:
+# The rows say why. One wrong estimate, $e_{20} = 1$, spoils these commands, at the price
+# $|\mathrm{row}_t|^2$ each:
 
 # %% alt="Bars: what each step pays for an error of 1 in the estimate of step 20, in three panels. Causal pays at step 20 alone, 0.025 in all. Preview pays from about step 13 to step 20 and nothing after, 0.139 in all. Open loop pays the same up to step 20, and then again until the end, 0.388 in all." tags=["hide-input"]
 figure, panels = plt.subplots(3, sharex=True, sharey=True, figsize=(10, 7))
@@ -333,7 +337,8 @@ assert spread[0] < 0 < spread[-1]
 #
 # ## Three models of equal mean square
 #
-# The integrator plans once and is fed $+1$ always, or random signs, or $+1, -1, \dots$:
+# A robot with $A = 1$ (`scalar()`) plans once, which `ms.psi` assumes unless told. No input comes,
+# but it is fed $+1$ always, or random signs, or $+1, -1, \dots$:
 
 # %% alt="Positions over 20 steps of a robot that plans once, fed errors of size 1. The biased model makes it drift away in a straight line to about -20. Thirty runs with random signs wander apart in a fan, up to 10 from zero. With alternating signs it stays within 1 of zero. The legend gives their mean regrets." tags=["hide-input"]
 line, calm = scalar(), np.zeros((20, 1))
@@ -368,7 +373,9 @@ plt.show()
 assert prices["alternating"] < prices["noisy"] < prices["biased"]
 
 # %% [markdown]
-# Notebook 2 makes this precise. And the answer to the paper's question depends on the pattern:
+# Notebook 2 makes this precise. And the answer to the paper's question depends on the pattern. On
+# the boat a small model always errs by 0.4 and is free, a medium one by 0.15 at 0.1 a step, a large
+# one by 0 at 0.3. The total, $e^\top \Psi e$ plus prices, is least for these schedules:
 
 # %% alt="Optimal schedules of a small, a medium and a large model over 40 steps. Open loop: small, but medium from step 4 to 10 (cost 1.47, best single model 3.13). Preview: small and medium in turn (3.84 against 4.33). Causal: small throughout (0.14). The large model is never run." tags=["hide-input"]
 errors = np.tile([[0.4], [0.15], [0.0]], (H, 1, 1))  # (H, W, p): small, medium, large
@@ -382,7 +389,8 @@ for axes, information in zip(panels, TABLE, strict=False):
     axes.step(step, schedule.choices, where="mid", color="#999999", lw=1)
     axes.plot(step, schedule.choices, ls="", ms=7, **PATTERN[information])
     axes.set(yticks=[0, 1, 2], yticklabels=["small", "medium", "large"], ylim=(-0.4, 2.4))
-    axes.set_title(f"{information}: {schedule.cost:.2f} (best single model: {single:.2f})", size=15)
+    best = f"total {schedule.cost:.2f} (best single model: {single:.2f})"
+    axes.set_title(f"{information}: {best}", size=15)
 axes.set_xlabel("step")
 figure.suptitle("The best schedule depends on what the controller knows")
 plt.show()
@@ -393,8 +401,9 @@ plt.show()
 #
 # **In one paragraph.** Completing the square turns regret into a sum over steps of what wrong
 # beliefs do to each command: beliefs about the state (memory), this input (now), later ones
-# (foresight). These three answers make $\Psi$: dense with a forecast or a memory, block diagonal
-# without. Its signs say which errors cancel. Next: what of a random error does $\Psi$ feel?
+# (foresight). These three answers make $\Psi$: dense with a forecast or a memory of earlier errors,
+# block diagonal without. Its signs say which errors cancel. Next: what of a random error does
+# $\Psi$ feel?
 #
 # ## Recall
 #

@@ -44,7 +44,9 @@ for y, (name, meet) in enumerate({"alternating": -0.6, "noisy": 0, "biased": 0.6
     look = {"facecolor": "white" if meet < 0 else RED, "edgecolor": RED, "hatch": "//"}
     axes.barh(y, meet, left=1.5, height=0.6, label="where errors meet" if y == 2 else None, **look)
     axes.text(1.55 + max(meet, 0), y, f"{name}: {1.5 + meet:.1f}", va="center")
-axes.set(yticks=[], xlim=(0, 3.7), xlabel="cost", title="Equal on the model card")
+axes.set(
+    yticks=[], xlim=(0, 3.7), xlabel="cost (hatched: taken off)", title="Equal on the model card"
+)
 axes.legend(loc="center right")
 plt.show()
 
@@ -60,16 +62,19 @@ plt.show()
 #
 # $$E[e^\top \Psi e] = \mu^\top \Psi \mu + \sum_t \mathrm{tr}(\Psi_{tt} \Sigma_t).$$
 #
-# Choose a mean (`eq:perModelExp`), a variance (`eq:perModelVar`) and a price at each step, and the
-# total to minimise (`eq:jp`, `eq:jtot`) is
+# A schedule $c$ runs model $c_t$ at step $t$. It chooses a mean $\mu_{t,c_t}$ (`eq:perModelExp`;
+# stacked, $\mu_c$), a variance $\Sigma_{t,c_t}$ (`eq:perModelVar`) and a price $\kappa_{c_t}$ for
+# each step. With weights $\alpha$ and $\beta$ (1 unless said), the total to minimise (`eq:jp`,
+# `eq:jtot`) is
 #
 # $$\mathrm{total}(c) = \alpha \Big(\mu_c^\top \Psi \mu_c + \sum_t \mathrm{tr}(\Psi_{tt}
 # \Sigma_{t,c_t})\Big) + \beta \sum_t \kappa_{c_t} .$$
 #
 # Any distribution will do, two models may share their noise (one runs at a time), and components of
 # one step may correlate if $\Sigma_t$ is given as a matrix. (`ass:indepRV` and the lines about
-# `eq:expTmp2` are misprinted: [paper.md](paper.md).) Four equally likely signs a step make an exact
-# average:
+# `eq:expTmp2` are misprinted: [paper.md](paper.md).) A mean that is known in flight one would
+# subtract; what stays after that comes below. Four equally likely pairs of signs a step make an
+# exact average:
 
 # %%
 H, p, rng = 3, 2, np.random.default_rng(2)
@@ -136,7 +141,8 @@ np.testing.assert_allclose(row.sum() / row[40], 5**0.5, rtol=1e-6)
 #   grows.)
 # - **Causal**: errors never meet. The mean square says it all.
 #
-# So it can pay to run the model with the *larger* mean square, here 1 (noise) against 0.49 (bias):
+# So it can pay to run the model with the *larger* mean square. Here, planned once (which `ms.psi`
+# assumes unless told) with the position charged, 1 (noise) against 0.49 (bias):
 
 # %%
 H = 12
@@ -156,7 +162,8 @@ assert best.is_optimal and not greedy.any() and pair.total_cost(greedy) > 4 * be
 # Each $\Sigma_t$ stands beside its own $\Psi_{tt}$: **noise never couples steps**. Two means do, by
 # $2\alpha\, \delta_t^\top \Psi_{tk} \delta_k$, $\delta$ being the difference of the models' means. So
 # if all means are 0, or $\Psi$ is block diagonal, the cheapest model of each step is the optimum. Else
-# this *greedy* choice can be wrong:
+# this *greedy* choice can be wrong. First 200 random problems; then two models that err to opposite
+# sides, beside an exact one that costs 1 a step:
 
 # %%
 right, excess = 0, []
@@ -226,7 +233,7 @@ for c in (np.zeros(8, dtype=int), ms.solve(believed).choices):
 # \mathbf 1_w$. Where all errors meet alike, two halves cost half of the whole: a **portfolio**. Then
 # it can pay to mix models, even if one of them is best alone. Where errors of different steps do not
 # meet (`causal`), or one model is far steadier, the steadiest runs alone. `correlated_problem` makes
-# this a selection problem of its own, with one component a model, and `solve` proves it:
+# this a selection problem of its own, with one component a model, and `solve` proves its optimum:
 
 # %%
 H, tau = 12, np.array([0.7, 1.0, 1.2])
@@ -271,11 +278,11 @@ plt.show()
 # %% [markdown]
 # ## Is the objective exact?
 #
-# `thm:equivalence`: minimising the simulated $\alpha J + \beta J^{\mathrm{per}}$ over all schedules and
-# minimising our total (`opt:model_selection`) give the same schedules, as the two differ by
-# $\alpha J$ of the controller that is fed the truth, which no schedule changes. **With a forecast** this
-# holds draw for draw; **without** one, on average over $s$ (notebook 1). All 81 schedules of four
-# steps, for all 16 signs of the noise and all 16 of the pushes:
+# `thm:equivalence`: minimising the simulated $\alpha J + \beta J^{\mathrm{per}}$, averaged over the
+# noise, and minimising our total (`opt:model_selection`) give the same schedules, as the two differ
+# by $\alpha J$ of the controller that is fed the truth, which no schedule changes. **With a
+# forecast** this holds for every $s$; **without** one, on average over $s$ (notebook 1). All 81
+# schedules of four steps, for all 16 signs of the noise and all 16 of the pushes:
 
 # %%
 H, alpha, beta = 4, 0.8, 0.2
@@ -315,8 +322,8 @@ for information in ("open_loop", "preview", "causal"):
 # </details>
 # <details><summary>Two models have mean square 1 and 2. When is the second one certainly the worse choice, at equal prices?</summary>
 #
-# If steps do not meet: block diagonal $\Psi$ (with $p = 1$), or no means. Else look at bias and
-# noise.
+# With $p = 1$, if steps do not meet: block diagonal $\Psi$, or no means. Else look at bias and noise
+# (and at which component errs).
 #
 # </details>
 # <details><summary>Each of two free models has an unknown persistent bias of size 1. Why alternate?</summary>
