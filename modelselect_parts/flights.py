@@ -252,8 +252,8 @@ def leads(totals: Mapping[str, Array]) -> dict[str, tuple[float, float]]:
     found = {}
     for policy, total in totals.items():
         if policy != "Optimal":
-            saved, half = estimate(total - totals["Optimal"])[0]
-            found[policy] = saved / total.mean(), half / total.mean()
+            whole = total.mean() or math.inf  # where nothing is lost, nothing is saved
+            found[policy] = tuple(estimate(total - totals["Optimal"])[0] / whole)
     return found
 
 

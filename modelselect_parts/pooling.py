@@ -49,12 +49,11 @@ class Labelled(NamedTuple):
         """The distance z (M,) at which they count, within the camera's reach."""
         return np.clip(self.planned, LOWEST, HIGHEST) + MOUNT
 
-    def over(self, variable: Array) -> Residuals:
-        """Return the errors over a variable (M,), all those of the first model first."""
-        W = len(self.error)
-        model = np.repeat(np.arange(W), len(variable))
-        names = [f"b{w}" for w in range(W)]
-        return Residuals(names, model, np.tile(variable, W), self.error.ravel())
+    def over(self, name: str) -> Residuals:
+        """Return the errors over a variable of this name, all those of the first model first."""
+        W, variable = len(self.error), getattr(self, name)
+        model, names = np.repeat(np.arange(W), len(variable)), [f"b{w}" for w in range(W)]
+        return Residuals(names, model, np.tile(variable, W), self.error.ravel(), [name])
 
 
 def labelled(measured: Residuals | Labelled) -> Labelled:
@@ -88,7 +87,7 @@ def _nearness(at: Array, here: Array, width: float) -> Array:
 
 def _kernel(pictures: Labelled) -> Kernel:
     """Return the kernel of `WIDTH` in ln z, as `fit_suite` takes it: in deviations of ln z."""
-    return Kernel(WIDTH / np.log(pictures.distance).std(), log=["altitude"], relative="altitude")
+    return Kernel(WIDTH / np.log(pictures.distance).std(), log=["distance"], relative="distance")
 
 
 def pooled_suite(pictures: Labelled, path: Array, cost: npt.ArrayLike) -> PerceptionSuite:
@@ -96,7 +95,7 @@ def pooled_suite(pictures: Labelled, path: Array, cost: npt.ArrayLike) -> Percep
 
     Mean and variance are z and z^2 times those of scaled errors: `fit_suite` with a `Kernel`.
     """
-    return fit_suite(pictures.over(pictures.distance), path + MOUNT, cost, kernel=_kernel(pictures))
+    return fit_suite(pictures.over("distance"), path + MOUNT, cost, kernel=_kernel(pictures))
 
 
 def bootstrapped(
@@ -135,16 +134,16 @@ def binned_suite(
     edges = altitude_bins(pictures.planned, path, bins)
     with warnings.catch_warnings():  # pictures are taken from further than a short way leads
         warnings.filterwarnings("ignore", "fit_suite: .* residuals count along this trajectory")
-        return fit_suite(pictures.over(pictures.planned), path, cost, bins=edges)
+        return fit_suite(pictures.over("planned"), path, cost, bins=edges)
 
 
 def redraw(pictures: Labelled, path: Array, trials: int, rng: Rng, bins: int | None) -> Array:
     """Draw errors (trials, H, W, 1) from those that a suite takes its moments of."""
     if bins is None:
-        given = pictures.over(pictures.distance), path + MOUNT, trials, rng
+        given = pictures.over("distance"), path + MOUNT, trials, rng
         return bootstrap_errors(*given, kernel=_kernel(pictures))
     edges = altitude_bins(pictures.planned, path, bins)
-    return bootstrap_errors(pictures.over(pictures.planned), path, trials, rng, bins=edges)
+    return bootstrap_errors(pictures.over("planned"), path, trials, rng, bins=edges)
 
 
 # -------------------------------------------------------------------------------- calibration

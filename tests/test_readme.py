@@ -1,5 +1,6 @@
 """What README.md and benchmarks/README.md show: code runs, commands exist, numbers are measured."""
 
+import csv
 import re
 from pathlib import Path
 
@@ -7,6 +8,7 @@ import numpy as np
 import pytest
 
 import landing
+from modelselect_parts.flights import estimate
 from modelselect_parts.tables import table_of_front
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -220,3 +222,26 @@ def test_its_claims_on_the_detector_are_those_of_the_measurements():
         low, high = re.findall(rf"([\d.]+) to\s+([\d.]+)% under `{pattern}`", said)[0]
         for number, end in ((low, min(found)), (high, max(found))):
             assert abs(float(number) - end) <= 0.5, pattern
+
+
+def test_what_experiment_2_came_to_is_in_its_results():
+    with open(ROOT / "benchmarks" / "results" / "stages.csv", newline="") as file:
+        table = list(csv.DictReader(file))
+
+    def over_seeds(stage, name, unit=1.0):
+        values = [unit * float(row[name]) for row in table if row["stage"] == stage]
+        return estimate(np.array(values))[0].tolist()
+
+    text = passage("**Experiment 2, rebuilt**")
+    decided = []
+    for stage in ("bins", "kernel", "calibrated", "on-policy", "filter"):
+        mean, half = over_seeds(stage, "below Best Single", 100)
+        assert f"{mean:.1f} ± {half:.1f}%" in text
+        decided.append(abs(mean) > half)
+    assert decided == [False, True, True, True, False]
+    for stage in ("bins", "on-policy"):
+        mean, half = over_seeds(stage, "flown/promised")
+        assert f"{mean:.2f} ± {half:.2f}" in text
+    first, last, filtered = (over_seeds(k, "total")[0] for k in ("bins", "on-policy", "filter"))
+    assert f"{100 * (1 - last / first):.0f}% lower than at first" in text
+    assert round(last / filtered) == 7 and "sevenfold" in text
