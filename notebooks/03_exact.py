@@ -155,8 +155,8 @@ assert (reduced > room).sum() == 4 and not (reduced > room)[steps, best].any()
 # ## Labels: what a partial schedule must remember
 #
 # Back to two steps. Under `preview` the square is a sum over steps, read from the last to the
-# first: deviations $\varepsilon_t = \mu_{t,c_t} - d_t$ enter a costate $g$ ($g_H = 0$;
-# let $\alpha = 1$),
+# first: deviations $\varepsilon_t = \mu_{t,c_t} - d_t$ enter a costate $g$ ($g_H = 0$; let
+# $\alpha = 1$),
 #
 # $$h_t = P_{t+1} C \varepsilon_t + g_{t+1}, \qquad g_t = (A - BK_t)^\top h_t, \qquad
 # \text{step } t \text{ pays } (B^\top h_t)^\top S_t^{-1} (B^\top h_t).$$
@@ -174,7 +174,8 @@ assert (reduced > room).sum() == 4 and not (reduced > room)[steps, best].any()
 # step have costates at distance $\rho$, $\rho^2 = (g_i - g_j)^\top F_t (g_i - g_j)$, where $F_{t+1}
 # = B S_t^{-1} B^\top + (A - BK_t) F_t (A - BK_t)^\top$, $F_0 = 0$, sums up what all earlier steps
 # feel. Complete both by the same models: the squares $q$ still to be paid obey $\sqrt{q_i} \le
-# \sqrt{q_j} + \rho$, and a completion within the room has $q_j \le \Delta - x_j$. So $i$ is never worse, and $j$ may die, if
+# \sqrt{q_j} + \rho$, and a completion within the room has $q_j \le \Delta - x_j$.
+# So $i$ is never worse, and $j$ may die, if
 #
 # $$x_i + 2\rho\sqrt{\Delta - x_j} + \rho^2 \le x_j .$$
 #
