@@ -116,8 +116,9 @@ for most in (0, 1, 2, 10):
     assert bound <= relaxed.value + 1e-12 <= value + 2e-12
 
 # %% [markdown]
-# The nearest point of a simplex is $\max(v - h, 0)$, with one threshold $h$ that makes it sum to
-# 1: for $v = (0.9, 0.5, -0.2)$, $h = 0.2$ and the point is $(0.7, 0.3, 0)$.
+# (Weights of a step sum to 1, so only differences from its average model count: hence `S`.) The
+# projection, the nearest point of a simplex, is $\max(v - h, 0)$, with one threshold $h$ that makes
+# it sum to 1: for $v = (0.9, 0.5, -0.2)$, $h = 0.2$ and the point is $(0.7, 0.3, 0)$.
 #
 # ## Conditioning
 #
@@ -191,8 +192,8 @@ print("models that share one step: at most", (b > 1e-3).sum(axis=1).max())
 
 # %% [markdown]
 # Two are enough where $p = 1$: the cheapest way to a mean error $d_t$ lies on an edge of the lower
-# convex envelope of the points $(\mu_{tw}, \ell_{tw})$. (A property of the optimum, whichever
-# method finds it.)
+# convex envelope of the points $(\mu_{tw}, \ell_{tw})$. (If three such points lie on one line, an
+# optimum may divide weight among them, too.)
 #
 # **Round and swap**: take the largest weight of each step, then change single steps while that
 # helps. **Draw**: take model $w$ at step $t$ with chance $b_{tw}$. The mean error is $d$ as
@@ -268,7 +269,7 @@ while True:
     master = ms.SelectionProblem(toy.psi, means[None], 0 * means[None], fees)
     point = ms.relax_interior_point(master, gap=1e-9)
     bound, _ = ms.reference_bound(switching, point.reference)
-    print(f"{len(columns)} columns: {bound:.3f} <= relaxed <= {point.value:.3f}")
+    print(f"{len(columns)} columns: {bound:.4f} <= relaxed <= {point.value:.4f}")
     if bound > point.value * (1 - 1e-7):
         break
     G = 2 * toy.mean[:, :, 0] * (toy.psi @ point.reference)[:, None] + toy.linear
@@ -276,6 +277,8 @@ while True:
 np.testing.assert_allclose(bound, ms.relax_by_columns(switching).bound, rtol=1e-6)
 
 # %% [markdown]
+# It is 0.2582, not 0.2578: columns that never switch blend alike at both steps, so $d_0 = d_1$.
+#
 # ## Problem 4: where fractions are legal
 #
 # The paper's section V blends the worst and the best model, $c_t \in [0, 1]$
@@ -284,8 +287,8 @@ np.testing.assert_allclose(bound, ms.relax_by_columns(switching).bound, rtol=1e-
 # \alpha D^\top \Psi D$. **Theorem 4** (`thm:psi`) in one line: $x^\top \Psi' x = \alpha (Dx)^\top
 # \Psi (Dx) \ge 0$, for every suite. So it is a convex quadratic over a box: polynomial. It is this
 # notebook's relaxation with two models; *drawing* one with chance $c_t$ would add $\alpha c_t (1 -
-# c_t)\, \delta_t^\top \Psi_{tt} \delta_t$ and end that. (The paper's assumption, its semidefinite
-# form and all errata: [paper.md](paper.md).)
+# c_t)\, \delta_t^\top \Psi_{tt} \delta_t$ and end convexity. (The paper's assumption, its
+# semidefinite form and all errata: [paper.md](paper.md).)
 
 # %%
 for name, problem in {"toy": toy, "published": published, "mixed": mixed}.items():
@@ -308,13 +311,16 @@ for name, problem in {"toy": toy, "published": published, "mixed": mixed}.items(
 # > its length. So whoever selects fast solves it fast. (The other direction would prove nothing.)
 # >
 # > **PARTITION** (split positive integers into halves of equal sum) with one state: a robot that
-# > acts only at $t = 0$ and pays for the end has $\Psi = \frac12 \mathbf{1}\mathbf{1}^\top$. Let
+# > acts only at $t = 0$ ($B_t = 0$ later) and pays for the end has $\Psi = \frac12
+# > \mathbf{1}\mathbf{1}^\top$. (Constant matrices do as well: $\frac{H}{H+1}
+# > \mathbf{1}\mathbf{1}^\top$ if notebook 1's robot on a line plans once, with $r = 1$.) Let
 # > model 0 err by $+a_t$, model 1 by $-a_t$ for a crumb more: cost $\frac12 (\sum \pm a_t)^2$ plus
 # > less than $\frac14$, below $\frac12$ **if and only if** the integers split. *Weakly* hard.
 # >
-# > **MAXIMUM CUT** with $H$ states, errors $\pm 1$: the cost is $H(2H^2 - 4\,\mathrm{cut}) - H$ plus
-# > less than $\frac12$, with numbers no larger than a polynomial in $H$. *Strongly* hard (Karp 1972,
-# > both).
+# > **MAXIMUM CUT** with $H$ states: the end is weighed by $H(2H I - L)$, $L$ the graph's Laplacian;
+# > errors $\pm 1$ are the sides. The cost is $H(2H^2 - 4\,\mathrm{cut}) - H$ plus less than
+# > $\frac12$, with numbers no larger than a polynomial in $H$. *Strongly* hard. (PARTITION: Karp
+# > 1972; this cut, of edges that all count 1: Garey, Johnson and Stockmeyer 1976.)
 
 # %%
 for integers in ([3, 1, 1, 2, 2, 1], [5, 5, 5, 3]):
