@@ -1,4 +1,4 @@
-r"""Model selection is NP-hard: two problems of Karp's (1972), turned into tasks and suites.
+r"""Model selection is NP-hard: PARTITION and MAXIMUM CUT, turned into tasks and suites.
 
 The paper's remark leaves its complexity open.  PARTITION settles it, weakly, with one state;
 MAXIMUM CUT strongly, with as many states as the graph has nodes.  Each docstring is the proof.
@@ -45,7 +45,8 @@ def maximum_cut_problem(
 ) -> SelectionProblem:
     """Turn MAXIMUM CUT of a graph on H nodes, `adjacency` (H, H) of 0 and 1, into model selection.
 
-    So model selection is strongly NP-hard where the state dimension may grow (Karp 1972).  Proof.
+    So model selection is strongly NP-hard where the state dimension may grow (of a graph without
+    weights, Garey, Johnson and Stockmeyer 1976).  Proof.
     Let L be the graph's Laplacian, D = 2H I - L; the eigenvalues of L are at most H, so D >= H I.
     Take n = H states that shift by one place a step, s_t entering at the first; so x_H holds s_t
     in place H-1-t.  Let the control act at t = 0 only, on every place, with R = I; let Q = 0 and
