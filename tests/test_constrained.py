@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 import modelselect as ms
 from modelselect import SelectionProblem
-from modelselect_parts import label_search, local_search, passes, trellis
+from modelselect_parts import dominance, label_search, local_search, passes, trellis
 from modelselect_parts import triangle as triangles
 
 SEEDS = st.integers(0, 2**32 - 1)
@@ -168,7 +168,7 @@ def test_only_labels_that_spent_no_less_are_dominated(seed, dimensions, labels, 
     extra, y = np.sort(draw(labels)), draw((labels, dimensions)) / 4
     spent, state = draw(labels), rng.integers(0, 2, labels)
     room = np.sqrt(1 - extra)
-    kept = label_search.undominated(extra, y, room, 0.0, lambda: False, state, spent, 0.5)
+    kept = dominance.undominated(extra, y, room, 0.0, lambda: False, state, None, spent, 0.5)
     paid = extra - 0.5 * spent
     assert kept.any()
     for j in np.flatnonzero(~kept):
@@ -252,9 +252,10 @@ def test_labels_that_a_margin_drops_lead_to_no_schedule_within_the_budget(seed, 
     purse = triangles.Purse(0.5, np.zeros((1, 2, 2)), None, 1.0, 1.0, 0.0)
     partial = label_search.Labels(extra, spent, y, state)
     expired = lambda: False  # noqa: E731
-    margins = (np.inf, budget - floor)
+    margins, detour = (np.inf, budget - floor), np.zeros((2, 2))
     without, kept = (
-        label_search._survivors(partial, room, purse, given_, margin, expired) for margin in margins
+        label_search._survivors(partial, room, purse, given_, margin, detour, expired)
+        for margin in margins
     )
     gone = np.setdiff1d(np.arange(labels), kept)
     assert set(kept) <= set(range(labels)) and len(kept) <= len(without)
