@@ -54,32 +54,43 @@ def undominated(
     alive = np.arange(len(extra)) if spent is None else np.argsort(spent, kind="stable")
     rank = None if spent is None else _ranks(paid)
     largest = float(room.max(initial=0))
-    near = _telling(y, TELLING * largest)
+    plain = state is None and spent is None and merge >= 0
+    near = y if plain else _telling(y, TELLING * largest)
+    powers = np.cumprod(np.full(near.shape[1] + 2, ODD, dtype=np.uint64))[1:]
     fruitful = [True] if detour is None else [True, True]
     for halvings in GRIDS:
         if len(alive) < 2 or largest == 0 or expired():
             break
         if not (any(fruitful) or halvings == GRIDS[-1]):
             continue
-        corner = np.floor(near.take(alive, axis=0) / (largest / 2**halvings) + 0.618 * halvings)
-        cell = _hashed(corner)  # shifted, so that grids have no common borders
+        side = largest / 2**halvings
+        corner = np.floor(near.take(alive, axis=0) / side + 0.618 * halvings)  # no common borders
+        cell = corner.astype(np.int64).view(np.uint64) @ powers[:-1]
         for across in range(len(fruitful)):
             if not (fruitful[across] or halvings == GRIDS[-1]):
                 continue
-            key = cell if across or state is None else cell + state[alive].astype(np.uint64) * ODD
+            key = (
+                cell
+                if across or state is None
+                else cell + state[alive].astype(np.uint64) * powers[-1]
+            )
             first = _first_of_cell(key) if rank is None else _cheapest_so_far(key, rank[alive])
-            i, due = alive[first], paid[alive] + merge
+            gone = np.flatnonzero(first != np.arange(len(alive)))
+            i, j = alive[first[gone]], alive[gone]
+            due = paid[j] + merge
             if across and detour is not None and state is not None:
-                due -= detour[state[i], state[alive]]
-            tested = (i != alive) & (paid[i] <= due)
-            if state is not None and not across:
-                tested &= state[i] == state[alive]
-            gone = tested.nonzero()[0]
-            for columns in (near, y) if near is not y else (y,):  # most fail on the few already
-                i, j = alive[first[gone]], alive[gone]
-                apart = columns.take(i, axis=0) - columns.take(j, axis=0)
-                rho2 = np.einsum("ij,ij->i", apart, apart)
-                gone = gone[paid[i] + 2 * np.sqrt(rho2) * room[j] + rho2 <= due[gone]]
+                due -= detour[state[i], state[j]]
+            elif state is not None:
+                due[state[i] != state[j]] = -np.inf
+            if plain:
+                gone = gone[_never_worse(y, paid, room, i, j, due)]
+            else:  # most fail on what is quick to look at
+                hope = paid[i] <= due
+                gone, i, j, due = gone[hope], i[hope], j[hope], due[hope]
+                if near is not y:
+                    hope = _never_worse(near, paid, room, i, j, due)
+                    gone, i, j, due = gone[hope], i[hope], j[hope], due[hope]
+                gone = gone[_never_worse(y, paid, room, i, j, due)]
             fruitful[across] = halvings < 2 or len(gone) > len(alive) / 100
             stays = np.ones(len(alive), dtype=bool)
             stays[gone] = False
@@ -105,16 +116,17 @@ def detours(moves: Array, t: int) -> Array | None:
     return np.asarray(more.max(axis=-1))
 
 
+def _never_worse(y: Array, paid: Array, room: Array, i: Choices, j: Choices, due: Array) -> Mask:
+    """Mark the pairs where label i has paid no more than is due, however j goes on."""
+    apart = y.take(i, axis=0) - y.take(j, axis=0)
+    rho2 = np.einsum("ij,ij->i", apart, apart)
+    return np.asarray(paid[i] + 2 * np.sqrt(rho2) * room[j] + rho2 <= due)
+
+
 def _telling(y: Array, least: float) -> Array:
     """Return the coordinates, columns of y, in which labels differ by more than `least`."""
     telling = np.ptp(y, axis=0) > least if len(y) else np.ones(y.shape[1], dtype=bool)
     return y if telling.all() else y[:, telling]
-
-
-def _hashed(corner: Array) -> Cells:
-    """Number cells by 64 bits, of which the top ones differ most: powers of an odd number."""
-    powers = np.cumprod(np.full(corner.shape[1], ODD, dtype=np.uint64))
-    return np.asarray((corner.astype(np.int64).view(np.uint64) @ powers) * ODD)
 
 
 def _first_of_cell(cell: Cells) -> Choices:
