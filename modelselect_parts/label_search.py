@@ -25,6 +25,9 @@ from modelselect_parts.dominance import GRIDS, detours, undominated
 from modelselect_parts.triangle import EPS, Coordinates, Purse, Triangle
 
 
+EACH = 3  # so many steps for a test of who spends less, beside a margin: it drops few
+
+
 class Losses(NamedTuple):
     """What one pass gives away, so that its proof is a theorem in spite of it.
 
@@ -151,7 +154,7 @@ def search(
         labels, parent, model = _extended(triangle, step, t, purse, given, ahead.least[t], labels)
         room = ahead.room(t, given.budget - labels.extra)
         detour = detours(triangle.moves, t)
-        kept = _survivors(labels, room, purse, given, margin, detour, expired)
+        kept = _survivors(labels, room, purse, given, margin, detour, t % EACH == 0, expired)
         most = min(width, 64) if expired() else width  # out of time: finish on a narrow beam
         if len(kept) > most:
             dropped = min(dropped, float(labels.extra[kept[most]] + ahead.least[t]))
@@ -176,6 +179,7 @@ def _survivors(
     given: Losses,
     margin: float,
     detour: Array | None,
+    due: bool,
     expired: Callable[[], bool],
 ) -> Choices:
     """Return which labels, sorted by extra cost, no other makes superfluous.
@@ -191,6 +195,8 @@ def _survivors(
     alive = np.arange(len(room))
     if margin < given.budget:
         alive = np.flatnonzero(undominated(extra, y, room, -margin, expired, here, across))
+        if not due:
+            return alive
     y, room = y[alive], room[alive]
     who = None if here is None else here[alive], None, spent[alive], purse.multiplier
     return np.asarray(alive[undominated(extra[alive], y, room, given.merge, expired, *who)])

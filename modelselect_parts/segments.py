@@ -58,6 +58,8 @@ def widths(form: Form, known: list[int]) -> list[int]:
     """
     if isinstance(form.M, Sensitivity):
         return known[:1] + known[2:]
+    if form.arc is not None and form.price is not None:
+        return known[1:2] + known[4:]
     return known if form.bare else known[1:]
 
 
@@ -68,6 +70,8 @@ def passes_before_bounds(form: Form) -> int:
     They come after as many labels whether the first pass had 64 or 512 (`widths`).
     """
     if isinstance(form.M, Sensitivity):
+        return 1
+    if form.arc is not None and form.price is not None:
         return 1
     passes = 2 if is_long(form.mean) else 3
     return passes if form.bare else passes - 1
