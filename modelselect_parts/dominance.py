@@ -20,6 +20,7 @@ a grid, for cells of several sizes.
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -32,6 +33,34 @@ Cells = npt.NDArray[np.uint64]
 GRIDS = (0, 1, 2, 3, 4, 5, 6, 7, 24)
 ODD = np.uint64(0x9E3779B97F4A7C15)  # 2^64 over the golden ratio
 TELLING = 1e-6  # the share of the room that labels must differ by for a direction to tell cells
+
+
+class Pairs(NamedTuple):
+    """What a test of label i against label j looks at."""
+
+    paid: Array  #: (labels,)
+    room: Array  #: (labels,)
+    y: Array  #: (labels, r)
+    near: Array  #: (labels, r'), the coordinates that tell labels apart
+    far: float  #: what the others add to rho^2 at most
+
+    def never_worse(self, i: Choices, j: Choices, due: Array) -> Mask:
+        """Mark the pairs where i has paid no more than is `due`, however j goes on."""
+        passed = self.paid[i] <= due
+        hope = np.flatnonzero(passed)
+        if len(hope) < len(i):
+            i, j, due = i[hope], j[hope], due[hope]
+        rho2 = _apart(self.near, i, j)
+        well = self._within(i, j, rho2, due)
+        if self.near is not self.y:  # only where it matters, all coordinates
+            close = np.flatnonzero(well & ~self._within(i, j, rho2 + self.far, due))
+            i, j = i[close], j[close]
+            well[close] = self._within(i, j, _apart(self.y, i, j), due[close])
+        passed[hope] = well
+        return np.asarray(passed)
+
+    def _within(self, i: Choices, j: Choices, rho2: Array, due: Array) -> Mask:
+        return np.asarray(self.paid[i] + 2 * np.sqrt(rho2) * self.room[j] + rho2 <= due)
 
 
 def undominated(
@@ -47,16 +76,15 @@ def undominated(
 ) -> Mask:
     """Mark the labels, sorted by extra cost, that no cheaper label nearby makes superfluous.
 
-    All are in one `state` where none is given; no `detour` allows none to stand for another state.
-    A grid is passed over once for labels of one state, and once, with detours, for all.
+    All are in one `state` where none is given; without `detour` none stands for another state.
+    A grid is passed over once for labels of one state, and with detours once for all.
     """
     paid = extra if spent is None else extra - multiplier * spent
     alive = np.arange(len(extra)) if spent is None else np.argsort(spent, kind="stable")
     rank = None if spent is None else _ranks(paid)
     largest = float(room.max(initial=0))
-    plain = state is None and spent is None and merge >= 0
-    near = y if plain else _telling(y, TELLING * largest)
-    powers = np.cumprod(np.full(near.shape[1] + 2, ODD, dtype=np.uint64))[1:]
+    pairs = Pairs(paid, room, y, *_telling(y, 0.0 if state is None else TELLING * largest))
+    powers = np.cumprod(np.full(pairs.near.shape[1] + 2, ODD, dtype=np.uint64))[1:]
     fruitful = [True] if detour is None else [True, True]
     for halvings in GRIDS:
         if len(alive) < 2 or largest == 0 or expired():
@@ -64,8 +92,8 @@ def undominated(
         if not (any(fruitful) or halvings == GRIDS[-1]):
             continue
         side = largest / 2**halvings
-        corner = np.floor(near.take(alive, axis=0) / side + 0.618 * halvings)  # no common borders
-        cell = corner.astype(np.int64).view(np.uint64) @ powers[:-1]
+        corner = np.floor(pairs.near.take(alive, axis=0) / side + 0.618 * halvings)
+        cell = corner.astype(np.int64).view(np.uint64) @ powers[:-1]  # grids share no borders
         for across in range(len(fruitful)):
             if not (fruitful[across] or halvings == GRIDS[-1]):
                 continue
@@ -75,25 +103,16 @@ def undominated(
                 else cell + state[alive].astype(np.uint64) * powers[-1]
             )
             first = _first_of_cell(key) if rank is None else _cheapest_so_far(key, rank[alive])
-            gone = np.flatnonzero(first != np.arange(len(alive)))
-            i, j = alive[first[gone]], alive[gone]
+            tested = np.flatnonzero(first != np.arange(len(alive)))
+            i, j = alive[first[tested]], alive[tested]
             due = paid[j] + merge
-            if across and detour is not None and state is not None:
+            if across and state is not None and detour is not None:
                 due -= detour[state[i], state[j]]
             elif state is not None:
                 due[state[i] != state[j]] = -np.inf
-            if plain:
-                gone = gone[_never_worse(y, paid, room, i, j, due)]
-            else:  # most fail on what is quick to look at
-                hope = paid[i] <= due
-                gone, i, j, due = gone[hope], i[hope], j[hope], due[hope]
-                if near is not y:
-                    hope = _never_worse(near, paid, room, i, j, due)
-                    gone, i, j, due = gone[hope], i[hope], j[hope], due[hope]
-                gone = gone[_never_worse(y, paid, room, i, j, due)]
-            fruitful[across] = halvings < 2 or len(gone) > len(alive) / 100
             stays = np.ones(len(alive), dtype=bool)
-            stays[gone] = False
+            stays[tested[pairs.never_worse(i, j, due)]] = False
+            fruitful[across] = halvings < 2 or int((~stays).sum()) > len(alive) / 100
             alive, cell = alive[stays], cell[stays]
     kept = np.zeros(len(extra), dtype=bool)
     kept[alive] = True
@@ -116,17 +135,17 @@ def detours(moves: Array, t: int) -> Array | None:
     return np.asarray(more.max(axis=-1))
 
 
-def _never_worse(y: Array, paid: Array, room: Array, i: Choices, j: Choices, due: Array) -> Mask:
-    """Mark the pairs where label i has paid no more than is due, however j goes on."""
+def _apart(y: Array, i: Choices, j: Choices) -> Array:
+    """Return rho^2 of pairs of labels."""
     apart = y.take(i, axis=0) - y.take(j, axis=0)
-    rho2 = np.einsum("ij,ij->i", apart, apart)
-    return np.asarray(paid[i] + 2 * np.sqrt(rho2) * room[j] + rho2 <= due)
+    return np.asarray(np.einsum("ij,ij->i", apart, apart))
 
 
-def _telling(y: Array, least: float) -> Array:
-    """Return the coordinates, columns of y, in which labels differ by more than `least`."""
-    telling = np.ptp(y, axis=0) > least if len(y) else np.ones(y.shape[1], dtype=bool)
-    return y if telling.all() else y[:, telling]
+def _telling(y: Array, least: float) -> tuple[Array, float]:
+    """Return the columns of y in which labels differ by more than `least`; what others add."""
+    spread = np.ptp(y, axis=0) if least > 0 and len(y) else np.full(y.shape[1], np.inf)
+    tells = spread > least
+    return (y, 0.0) if tells.all() else (y[:, tells], float((spread[~tells] ** 2).sum()))
 
 
 def _first_of_cell(cell: Cells) -> Choices:

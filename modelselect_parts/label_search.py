@@ -24,7 +24,6 @@ from modelselect_parts.checks import Array, Choices
 from modelselect_parts.dominance import GRIDS, detours, undominated
 from modelselect_parts.triangle import EPS, Coordinates, Purse, Triangle
 
-
 EACH = 3  # so many steps for a test of who spends less, beside a margin: it drops few
 
 
@@ -194,7 +193,7 @@ def _survivors(
         return np.flatnonzero(undominated(extra, y, room, given.merge, expired, here, across))
     alive = np.arange(len(room))
     if margin < given.budget:
-        alive = np.flatnonzero(undominated(extra, y, room, -margin, expired, here, across))
+        alive = np.flatnonzero(undominated(extra, y, room, -margin, expired, here))
         if not due:
             return alive
     y, room = y[alive], room[alive]
