@@ -24,7 +24,7 @@ from modelselect_parts.checks import Array, Choices
 from modelselect_parts.dominance import GRIDS, detours, undominated
 from modelselect_parts.triangle import EPS, Coordinates, Purse, Triangle
 
-EACH = 3  # so many steps for a test of who spends less, beside a margin: it drops few
+RESTS = 2  # steps for which a test that drops less than a third is left out, beside a margin
 
 
 class Losses(NamedTuple):
@@ -144,7 +144,7 @@ def search(
     The `margin` is what the budget exceeds the excess of every schedule by that disregards the
     limit, twice the losses and what the certificate took off: L(lam) of passes.py, where known.
     """
-    H, dropped = len(steps), math.inf
+    H, dropped, rests = len(steps), math.inf, 0
     ahead = ahead or Ahead(np.zeros(H), H, np.zeros(H))
     nothing, offset = np.zeros(1), np.zeros((1, steps[-1].read.shape[1]))
     labels = Labels(nothing, nothing, offset, np.zeros(1, dtype=np.intp))
@@ -153,7 +153,7 @@ def search(
         labels, parent, model = _extended(triangle, step, t, purse, given, ahead.least[t], labels)
         room = ahead.room(t, given.budget - labels.extra)
         detour = detours(triangle.moves, t)
-        kept = _survivors(labels, room, purse, given, margin, detour, t % EACH == 0, expired)
+        kept, rests = _survivors(labels, room, purse, given, margin, detour, rests, expired)
         most = min(width, 64) if expired() else width  # out of time: finish on a narrow beam
         if len(kept) > most:
             dropped = min(dropped, float(labels.extra[kept[most]] + ahead.least[t]))
@@ -178,27 +178,30 @@ def _survivors(
     given: Losses,
     margin: float,
     detour: Array | None,
-    due: bool,
+    rests: int,
     expired: Callable[[], bool],
-) -> Choices:
+) -> tuple[Choices, int]:
     """Return which labels, sorted by extra cost, no other makes superfluous.
 
     Where spending is limited label j also goes if a label i, whatever it has spent, undercuts it by
     the margin, extra_i + 2 rho room_j + rho^2 + margin <= extra_j: a completion of j within the
     budget would give i an excess that no schedule has.  So nothing is merged, and i need not stay.
+    The other test then rests for so many steps, which come back with the labels.
     """
     extra, spent, y, state = labels
     here, across = (state, detour) if (state != state[:1]).any() else (None, None)
     if purse.spend is None:
-        return np.flatnonzero(undominated(extra, y, room, given.merge, expired, here, across))
+        kept = undominated(extra, y, room, given.merge, expired, here, across)
+        return np.flatnonzero(kept), 0
     alive = np.arange(len(room))
     if margin < given.budget:
         alive = np.flatnonzero(undominated(extra, y, room, -margin, expired, here))
-        if not due:
-            return alive
+        if rests:
+            return alive, rests - 1
     y, room = y[alive], room[alive]
     who = None if here is None else here[alive], None, spent[alive], purse.multiplier
-    return np.asarray(alive[undominated(extra[alive], y, room, given.merge, expired, *who)])
+    kept = undominated(extra[alive], y, room, given.merge, expired, *who)
+    return alive[kept], RESTS if 3 * kept.sum() > 2 * len(alive) else 0
 
 
 def _extended(

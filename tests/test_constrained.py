@@ -252,8 +252,9 @@ def test_labels_that_a_margin_drops_lead_to_no_schedule_within_the_budget(seed, 
     partial = label_search.Labels(extra, spent, y, state)
     expired = lambda: False  # noqa: E731
     margins, detour = (np.inf, budget - floor), np.zeros((2, 2))
+    told = purse, given_
     without, kept = (
-        label_search._survivors(partial, room, purse, given_, margin, detour, True, expired)
+        label_search._survivors(partial, room, *told, margin, detour, 0, expired)[0]
         for margin in margins
     )
     gone = np.setdiff1d(np.arange(labels), kept)
@@ -273,10 +274,10 @@ def test_a_price_of_the_budget_proves_what_the_relaxation_leaves_open():
     Psi = ms.psi(ms.ControlTask(one, one, one, one, one, H))
     problem = SelectionProblem(Psi, mean, 0 * mean, [0, 0, 1.5], beta=0.01, **limits)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(ms, "WIDTHS", [8, 8, 64, 512, 4096])
-        found = ms.dynamic_program(problem, max_labels=4096)
+        patch.setattr(ms, "WIDTHS", [8, 8, 64, 512, 8192])
+        found = ms.dynamic_program(problem, max_labels=8192)
         patch.setattr(passes.Search, "may_price", lambda search: False)
-        without = ms.dynamic_program(problem, max_labels=4096)
+        without = ms.dynamic_program(problem, max_labels=8192)
     assert found.is_optimal and not without.is_optimal
     assert without.lower_bound <= found.cost <= without.cost
 
