@@ -32,6 +32,7 @@ Cells = npt.NDArray[np.uint64]
 # Sides of cells: the largest room, halved so often; the last: all but equal.
 GRIDS = (0, 1, 2, 3, 4, 5, 6, 7, 24)
 ODD = np.uint64(0x9E3779B97F4A7C15)  # 2^64 over the golden ratio
+MANY = 512  # labels from which passes with detours are worth their time
 TELLING = 1e-6  # the share of the room that labels must differ by for a direction to tell cells
 
 
@@ -46,16 +47,18 @@ class Pairs(NamedTuple):
 
     def never_worse(self, i: Choices, j: Choices, due: Array) -> Mask:
         """Mark the pairs where i has paid no more than is `due`, however j goes on."""
+        return self._within(i, j, _apart(self.y, i, j), due)
+
+    def screened(self, i: Choices, j: Choices, due: Array) -> Mask:
+        """Mark the same pairs; look first at what is quick, as most of them fail."""
         passed = self.paid[i] <= due
         hope = np.flatnonzero(passed)
-        if len(hope) < len(i):
-            i, j, due = i[hope], j[hope], due[hope]
+        i, j, due = i[hope], j[hope], due[hope]
         rho2 = _apart(self.near, i, j)
         well = self._within(i, j, rho2, due)
-        if self.near is not self.y:  # only where it matters, all coordinates
+        if self.near is not self.y:  # rho^2 is not known where it matters
             close = np.flatnonzero(well & ~self._within(i, j, rho2 + self.far, due))
-            i, j = i[close], j[close]
-            well[close] = self._within(i, j, _apart(self.y, i, j), due[close])
+            well[close] = self.never_worse(i[close], j[close], due[close])
         passed[hope] = well
         return np.asarray(passed)
 
@@ -83,9 +86,10 @@ def undominated(
     alive = np.arange(len(extra)) if spent is None else np.argsort(spent, kind="stable")
     rank = None if spent is None else _ranks(paid)
     largest = float(room.max(initial=0))
-    pairs = Pairs(paid, room, y, *_telling(y, 0.0 if state is None else TELLING * largest))
+    many = state is not None and len(extra) >= MANY
+    pairs = Pairs(paid, room, y, *(_telling(y, TELLING * largest) if many else (y, 0.0)))
     powers = np.cumprod(np.full(pairs.near.shape[1] + 2, ODD, dtype=np.uint64))[1:]
-    fruitful = [True] if detour is None else [True, True]
+    fruitful = [True] if detour is None or not many else [True, True]
     for halvings in GRIDS:
         if len(alive) < 2 or largest == 0 or expired():
             break
@@ -97,22 +101,20 @@ def undominated(
         for across in range(len(fruitful)):
             if not (fruitful[across] or halvings == GRIDS[-1]):
                 continue
-            key = (
-                cell
-                if across or state is None
-                else cell + state[alive].astype(np.uint64) * powers[-1]
-            )
+            own = None if across else state
+            key = cell if own is None else cell + own[alive].astype(np.uint64) * powers[-1]
             first = _first_of_cell(key) if rank is None else _cheapest_so_far(key, rank[alive])
-            tested = np.flatnonzero(first != np.arange(len(alive)))
-            i, j = alive[first[tested]], alive[tested]
+            i, j = alive[first], alive
+            tested = (i != j if own is None else (i != j) & (own[i] == own[j])).nonzero()[0]
+            i, j = i[tested], j[tested]
             due = paid[j] + merge
             if across and state is not None and detour is not None:
                 due -= detour[state[i], state[j]]
-            elif state is not None:
-                due[state[i] != state[j]] = -np.inf
+            test = pairs.screened if many else pairs.never_worse
+            gone = tested[test(i, j, due)]
+            fruitful[across] = halvings < 2 or len(gone) > len(alive) / 100
             stays = np.ones(len(alive), dtype=bool)
-            stays[tested[pairs.never_worse(i, j, due)]] = False
-            fruitful[across] = halvings < 2 or int((~stays).sum()) > len(alive) / 100
+            stays[gone] = False
             alive, cell = alive[stays], cell[stays]
     kept = np.zeros(len(extra), dtype=bool)
     kept[alive] = True
@@ -143,7 +145,7 @@ def _apart(y: Array, i: Choices, j: Choices) -> Array:
 
 def _telling(y: Array, least: float) -> tuple[Array, float]:
     """Return the columns of y in which labels differ by more than `least`; what others add."""
-    spread = np.ptp(y, axis=0) if least > 0 and len(y) else np.full(y.shape[1], np.inf)
+    spread = np.ptp(y, axis=0)
     tells = spread > least
     return (y, 0.0) if tells.all() else (y[:, tells], float((spread[~tells] ** 2).sum()))
 

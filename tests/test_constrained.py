@@ -179,6 +179,27 @@ def test_only_labels_that_spent_no_less_are_dominated(seed, dimensions, labels, 
         assert claim.any(), "no label of its state that spent no more dominates it"
 
 
+@given(SEEDS, st.integers(1, 60), st.sampled_from([0, 10**9]))
+def test_a_label_of_another_model_costs_no_more_whatever_model_comes_before(seed, labels, many):
+    rng = np.random.default_rng(seed)
+    moves = rng.random((2, 3, 3)) / 4
+    moves[0, :, 2] = np.where(rng.random() < 0.5, np.inf, moves[0, :, 2])  # of no use
+    detour = dominance.detours(moves, 1)
+    assert dominance.detours(moves[:, :1], 1) is None and not dominance.detours(moves, 0).any()
+    extra, state = np.sort(rng.random(labels)), rng.integers(0, 3, labels)
+    y = rng.normal(size=(labels, 3)) * [0.1, 0.01, 1e-9]
+    room = np.sqrt(1 - extra)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(dominance, "MANY", many)
+        kept = dominance.undominated(extra, y, room, 0.0, lambda: False, state, detour)
+    v = rng.normal(size=(40, 3)) / 4
+    whole = extra[:, None] + ((v + y[:, None]) ** 2).sum(axis=-1)
+    whole = whole[:, None] + moves[0, state][:, :, None]  # [label, model before, v]
+    within = whole <= 1
+    best = np.where(kept[:, None, None], whole, np.inf).min(axis=0)
+    assert kept.any() and (best <= whole + 1e-12)[within].all()
+
+
 @given(SEEDS)
 def test_no_price_of_a_budget_beats_the_best_one_by_much(seed):
     problem = a_problem(seed)
