@@ -562,8 +562,8 @@ def dynamic_program(
 
     Sphere decoding on a Viterbi trellis (label_search.py): a label is a partial schedule, and goes
     when it costs too much or when another one dominates it.  Passes (passes.py) keep at most 64
-    (512 with switching costs or a budget), then eight times as many labels a step, up to
-    `max_labels` (at least 64; the default, 262144, takes a gigabyte or two where it is needed).
+    (512 with switching costs or a budget), then eight times as many labels a step (with both, as
+    many as there are), up to `max_labels` (at least 64; the default, 262144, takes a gigabyte or two where it is needed).
     Ends with the gap, or after `time_limit` seconds with what is proved by then; `relaxation`, of
     `relax_interior_point` by default, gives d and the first schedule.
     `work` holds the labels kept at every step of the last pass, whether it was complete (a gap is
@@ -582,7 +582,10 @@ def _searched(
     time_left: Callable[[], float],
     skipped: int = 0,
 ) -> Schedule:
-    """Search pass by pass from a first schedule and its certificate (passes.py)."""
+    """Search pass by pass from a first schedule and its certificate (passes.py).
+
+    The narrowest passes may be `skipped`, where the first schedule is what they found.
+    """
     started, closed = perf_counter(), closes(gap, 0.0)
 
     def improve(choices: Choices) -> tuple[Choices, float]:

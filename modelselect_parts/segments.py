@@ -54,6 +54,8 @@ def widths(form: Form, known: list[int]) -> list[int]:
 
     The first need not be complete: what it finds makes the next one shorter.  With switching costs
     or a budget fewer labels dominate others, so that 64 rarely find much; tried at H = 50 and 150.
+    With both, the price of the budget comes after the first pass: what is left needs many labels,
+    and a pass that is too narrow for it proves nothing that the price has not.
     Of systems, few need 512 where 64 did not do: they have bounds ahead by then.
     """
     if isinstance(form.M, Sensitivity):
