@@ -563,7 +563,8 @@ def dynamic_program(
     Sphere decoding on a Viterbi trellis (label_search.py): a label is a partial schedule, and goes
     when it costs too much or when another one dominates it.  Passes (passes.py) keep at most 64
     (512 with switching costs or a budget), then eight times as many labels a step (with both, as
-    many as there are), up to `max_labels` (at least 64; the default, 262144, takes a gigabyte or two where it is needed).
+    many as there are), up to `max_labels` (at least 64; the default, 262144, takes a gigabyte or
+    two where it is needed).
     Ends with the gap, or after `time_limit` seconds with what is proved by then; `relaxation`, of
     `relax_interior_point` by default, gives d and the first schedule.
     `work` holds the labels kept at every step of the last pass, whether it was complete (a gap is
