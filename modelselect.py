@@ -142,7 +142,7 @@ __version__ = "0.2.0"
 
 SEARCH_SLACK, MERGING = 1e-10, 30
 PRICING_GAP = 1e-4  #: of the problems that price a budget, whose dual leaves more open than that
-PERTURBATIONS = 50  #: trials of `local_search.perturbed` where moves cost something, too
+PERTURBATIONS = 20  #: trials of `local_search.perturbed` where moves cost something, too
 WIDTHS = [64 * 8**k for k in range(8)]  #: labels that the passes of `dynamic_program` keep a step
 
 
@@ -562,8 +562,9 @@ def dynamic_program(
 
     Sphere decoding on a Viterbi trellis (label_search.py): a label is a partial schedule, and goes
     when it costs too much or when another one dominates it.  Passes (passes.py) keep at most 64
-    (512 with switching costs or a budget), then eight times as many labels a step, up to
-    `max_labels` (at least 64; the default, 262144, takes a gigabyte or two where it is needed).
+    (512 with switching costs or a budget), then eight times as many labels a step (with both, as
+    many as there are), up to `max_labels` (at least 64; the default, 262144, takes a gigabyte or
+    two where it is needed).
     Ends with the gap, or after `time_limit` seconds with what is proved by then; `relaxation`, of
     `relax_interior_point` by default, gives d and the first schedule.
     `work` holds the labels kept at every step of the last pass, whether it was complete (a gap is
@@ -580,8 +581,12 @@ def _searched(
     gap: float,
     max_labels: int,
     time_left: Callable[[], float],
+    skipped: int = 0,
 ) -> Schedule:
-    """Search pass by pass from a first schedule and its certificate (passes.py)."""
+    """Search pass by pass from a first schedule and its certificate (passes.py).
+
+    The narrowest passes may be `skipped`, where the first schedule is what they found.
+    """
     started, closed = perf_counter(), closes(gap, 0.0)
 
     def improve(choices: Choices) -> tuple[Choices, float]:
@@ -591,7 +596,7 @@ def _searched(
     known = (first.reference, first.multiplier), first.choices, first.cost, first.root_bound
     told = improve, lambda *best: _slack(problem, *best), lambda: time_left() <= 0
     search = passes.Search(problem.form, *known, *told)
-    narrow = segments.widths(problem.form, WIDTHS)
+    narrow = segments.widths(problem.form, WIDTHS)[skipped:]
     widths = [width for width in narrow if width < max_labels] + [max_labels]
     for width in [*widths, max_labels]:
         if closed(search.cost, search.proved) or search.expired():
@@ -609,21 +614,29 @@ def _searched(
 def _price_the_budget(
     problem: SelectionProblem, search: passes.Search, price: Array, time_left: Callable[[], float]
 ) -> None:
-    """Let a search rest on a better price lam of the budget: the problem without, at beta + lam."""
-    limit, toll = problem._limit, problem.switch_cost
+    """Let a search rest on a better price lam of the budget: the problem without, at beta + lam.
+
+    A narrow pass a price finds schedules, hence where L is highest; only there is L proved.
+    """
+    limit, toll, tried = problem._limit, problem.switch_cost, dict[float, Schedule]()
     most = np.abs(price).max(axis=1).sum() + len(price) * (0.0 if toll is None else toll.max())
 
-    def solved(lam: float) -> tuple[float, Schedule, passes.Cut]:
-        free = replace(problem, beta=problem.beta + lam, budget=None)
-        found = _searched(free, _start(free, None, time_left), PRICING_GAP, WIDTHS[4], time_left)
+    def priced(lam: float) -> SelectionProblem:
+        return replace(problem, beta=problem.beta + lam, budget=None)
+
+    def cut(lam: float) -> passes.Cut:
+        first = _start(priced(lam), None, time_left)
+        found = _searched(priced(lam), first, PRICING_GAP, WIDTHS[1], time_left)
         search.offer(found.choices)
-        lower, spent = found.lower_bound, float(problem.perception_term(found.choices))
-        rounding = 8 * trellis.EPS * (free.beta * most + abs(lower) + lam * abs(limit))
-        cut = passes.Cut(found.cost - lam * spent, spent)
-        return float(lower - lam * limit - rounding), found, cut
+        spent, tried[lam] = float(problem.perception_term(found.choices)), found
+        return passes.Cut(found.cost - lam * spent, spent)
 
     known = passes.Cut(search.cost, float(problem.perception_term(search.choices)))
-    bound, lam, found = passes.dual(solved, limit, known, search.point[1], search.expired)
+    lam = passes.best_price(cut, limit, known, search.point[1], search.expired)
+    found = _searched(priced(lam), tried[lam], PRICING_GAP, WIDTHS[4], time_left, 1)
+    search.offer(found.choices)
+    lower, size = found.lower_bound, (problem.beta + lam) * most + lam * abs(limit)
+    bound = float(lower - lam * limit - 8 * trellis.EPS * (size + abs(lower)))
     if toll is not None:
         search.offer(_swap(problem, search.choices, time_left, PERTURBATIONS)[0])
     search.move((found.reference, lam), bound)

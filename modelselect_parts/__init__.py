@@ -26,6 +26,7 @@ interior_point    the fast relaxation, on bare arrays
 column_generation the relaxation where switching costs or a budget tie steps together
 local_search      better schedules by small changes
 triangle          what a schedule costs beyond its bound, as a sum over steps
+dominance         which partial schedules others make superfluous
 label_search      the exact search, on bare arrays
 segments          long horizons: parts of them, each a problem of its own
 relaxations       the relaxation, by the engine that is fastest for it

@@ -5,7 +5,7 @@ offset on the rows still to come, its model where moves cost something, what it 
 there is a limit.  A schedule better than the best one known has excess below what that one has.  So
 a label goes when its excess, and what the steps before must add to it (segments.py), exceeds
 this budget; when it cannot keep the limit; or when a cheaper label near it *dominates* it
-(`undominated`).  What remains is a few labels, though in the worst case exponentially many: the
+(dominance.py).  What remains is a few labels, though in the worst case exponentially many: the
 problem is NP-hard.
 
 Everything that rounding and shortcuts give away is added up (`Losses`) and taken off the bound,
@@ -19,13 +19,12 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
-from modelselect_parts.checks import Array, Choices, Mask
+from modelselect_parts.checks import Array, Choices
+from modelselect_parts.dominance import GRIDS, detours, undominated
 from modelselect_parts.triangle import EPS, Coordinates, Purse, Triangle
 
-# Sides of cells of `undominated`: the largest room, halved so often; the last: all but equal.
-GRIDS = (0, 1, 2, 3, 4, 5, 6, 7, 24)
+RESTS = 2  # steps for which a test that drops less than a third is left out, beside a margin
 
 
 class Losses(NamedTuple):
@@ -41,7 +40,8 @@ class Losses(NamedTuple):
       Q + 2 x sqrt(B) + x^2.
     - *Merging.*  A dominance test may lose `merge`.  A schedule's chain of dominators has one
       link a step and grid at most, as the representative of a cell is not discarded in its own
-      pass: at most H tests merge in all, and as many roundings of a test.
+      pass: at most H tests merge in all, and as many roundings of a test.  Where moves cost
+      something every grid is passed over twice.
     - *Spending.*  Sums in another order differ by grains, for each of which lam is paid.  A
       dominator never spends more, as sums of floats are monotone.
     - *Rounding.*  An offset errs at every step by a few eps of its reach for each term that its
@@ -79,105 +79,12 @@ def losses(
     lengths = sum(step.reach for step in steps) + triangle.length
     x = H * least * math.sqrt(p * H) + 2 * EPS * (len(triangle.U) + terms + 10) * lengths
     rest = slack / 2 + triangle.rounding
-    tests = len(GRIDS)
+    tests = len(GRIDS) * (1 if triangle.moves.shape[1] == 1 else 2)
     grains = H * (tests + 1) * purse.grain
     rest += purse.multiplier * grains
     budget = (x + math.sqrt(excess + rest + 2 * x * x)) ** 2
     budget *= 1 + (16 + terms) * EPS * H * (tests + 1)  # the roundings of tests and sums
     return Losses(budget, slack / (2 * H * tests), grains, budget - excess)
-
-
-def undominated(
-    extra: Array,
-    y: Array,
-    room: Array,
-    merge: float,
-    expired: Callable[[], bool],
-    state: Choices | None = None,
-    spent: Array | None = None,
-    multiplier: float = 0.0,
-) -> Mask:
-    """Mark the labels, sorted by extra cost, that no cheaper label nearby makes superfluous.
-
-    Let i, j be labels at distance rho = |y_i - y_j|.  A completion costs them |v + y_i|^2 and
-    |v + y_j|^2 plus the same moves, and (y_i - y_j)'(v + y_j) <= rho room_j for every completion of
-    j within the budget (see `Ahead.room`).  So |v + y_i|^2 <= |v + y_j|^2 + 2 rho room_j + rho^2,
-    and i is never worse if
-
-        extra_i + 2 rho room_j + rho^2 <= extra_j    (or exceeds it by `merge`).
-
-    Where moves cost something both must be in one `state`.  Where there is a limit i must not
-    have spent more, and extra - lam spent takes the place of extra: the rest of what they may spend
-    is paid for at the end.
-
-    Any label may be tested against any other; we test against the cheapest of the same grid cell,
-    for cells of several sizes: `_first_of_cell`, or `_cheapest_so_far` where there is a limit.
-    """
-    paid = extra if spent is None else extra - multiplier * spent
-    alive = np.arange(len(extra)) if spent is None else np.argsort(spent, kind="stable")
-    hashing = np.cumprod(np.full(y.shape[1] + 2, 0x9E3779B97F4A7C15, dtype=np.uint64))
-    fruitful, largest = True, float(room.max(initial=0))
-    for halvings in GRIDS:
-        if len(alive) < 2 or largest == 0 or expired():
-            break
-        if not (fruitful or halvings == GRIDS[-1]):
-            continue
-        side = largest / 2**halvings
-        corner = np.floor(y.take(alive, axis=0) / side + 0.618 * halvings)  # no common borders
-        cell = corner.astype(np.int64).view(np.uint64) @ hashing[:-2]
-        if state is not None:
-            cell = cell + state[alive].astype(np.uint64) * hashing[-2]
-        i = (
-            _cheapest_so_far(cell * hashing[0], paid[alive])
-            if spent is not None
-            else _first_of_cell(cell)
-        )
-        i, j = alive[i], alive
-        alike = i != j if state is None else (i != j) & (state[i] == state[j])
-        tested = alike.nonzero()[0]
-        i, j = i[tested], j[tested]
-        apart = y.take(i, axis=0) - y.take(j, axis=0)
-        rho2 = np.einsum("ij,ij->i", apart, apart)
-        dominated = paid[i] + 2 * np.sqrt(rho2) * room[j] + rho2 <= paid[j] + merge
-        fruitful = halvings < 2 or int(dominated.sum()) > len(alive) / 100
-        stays = np.ones(len(alive), dtype=bool)
-        stays[tested[dominated]] = False
-        alive = alive[stays]
-    kept = np.zeros(len(extra), dtype=bool)
-    kept[alive] = True
-    return kept
-
-
-def _first_of_cell(cell: npt.NDArray[np.uint64]) -> Choices:
-    """Return for every label the first of its cell; cells are numbers of 64 bits, hashed.
-
-    A cell's corner is hashed by multiplying with powers of an odd number (2^64 over the golden
-    ratio); its top bits index a table.  Cells that share an entry do no harm, as tests are exact.
-    """
-    bits = len(cell).bit_length() + 2
-    key = cell >> np.uint64(64 - bits)
-    table = np.empty(2**bits, dtype=np.intp)
-    table[key[::-1]] = np.arange(len(cell))[::-1]  # of equal keys, the first stays
-    return np.asarray(table[key])
-
-
-def _cheapest_so_far(cell: npt.NDArray[np.uint64], paid: Array) -> Choices:
-    """Return for every label the one of its cell that has paid least, up to itself.
-
-    Labels come in the order of what they have spent, so it has not spent more.  Sixteen bits of a
-    cell's hash do for some thousand labels, and sort in linear time.
-    """
-    n = len(cell)
-    key = (cell >> np.uint64(48)).astype(np.uint16) if n < 2**14 else cell
-    order, cheapest = np.argsort(key, kind="stable"), np.argsort(paid, kind="stable")
-    rank = np.empty(n, dtype=np.int64)
-    rank[cheapest] = np.arange(n)
-    key = key[order]
-    number = np.cumsum(np.append(True, key[1:] != key[:-1]))
-    least = np.minimum.accumulate(rank[order] - n * number)  # cells count down: each starts anew
-    found = np.empty(n, dtype=np.intp)
-    found[order] = cheapest[least % n]
-    return found
 
 
 class Ahead(NamedTuple):
@@ -188,7 +95,7 @@ class Ahead(NamedTuple):
     far: Array  #: (H,), the share of rho^2 that those which are not near feel at most
 
     def room(self, t: int, left: Array) -> Array:
-        """Return the room of labels, (labels,), of what is `left` of the budget (`undominated`).
+        """Return the room of labels, (labels,), of what is `left` of the budget (dominance.py).
 
         |v + y|^2 is at most `left`, of near steps at most what far ones need less.  With rho_far <=
         sqrt(far) rho, (y_i - y_j)'(v + y_j) <= rho (|v + y_j|_near + sqrt(far) |v + y_j|_far).
@@ -237,7 +144,7 @@ def search(
     The `margin` is what the budget exceeds the excess of every schedule by that disregards the
     limit, twice the losses and what the certificate took off: L(lam) of passes.py, where known.
     """
-    H, dropped = len(steps), math.inf
+    H, dropped, rests = len(steps), math.inf, 0
     ahead = ahead or Ahead(np.zeros(H), H, np.zeros(H))
     nothing, offset = np.zeros(1), np.zeros((1, steps[-1].read.shape[1]))
     labels = Labels(nothing, nothing, offset, np.zeros(1, dtype=np.intp))
@@ -245,7 +152,8 @@ def search(
     for t, step in reversed(list(enumerate(steps))):
         labels, parent, model = _extended(triangle, step, t, purse, given, ahead.least[t], labels)
         room = ahead.room(t, given.budget - labels.extra)
-        kept = _survivors(labels, room, purse, given, margin, expired)
+        detour = detours(triangle.moves, t)
+        kept, rests = _survivors(labels, room, purse, given, margin, detour, rests, expired)
         most = min(width, 64) if expired() else width  # out of time: finish on a narrow beam
         if len(kept) > most:
             dropped = min(dropped, float(labels.extra[kept[most]] + ahead.least[t]))
@@ -269,24 +177,31 @@ def _survivors(
     purse: Purse,
     given: Losses,
     margin: float,
+    detour: Array | None,
+    rests: int,
     expired: Callable[[], bool],
-) -> Choices:
+) -> tuple[Choices, int]:
     """Return which labels, sorted by extra cost, no other makes superfluous.
 
     Where spending is limited label j also goes if a label i, whatever it has spent, undercuts it by
     the margin, extra_i + 2 rho room_j + rho^2 + margin <= extra_j: a completion of j within the
     budget would give i an excess that no schedule has.  So nothing is merged, and i need not stay.
+    The other test then rests for so many steps, which come back with the labels.
     """
     extra, spent, y, state = labels
-    here = None if (state == state[:1]).all() else state
+    here, across = (state, detour) if (state != state[:1]).any() else (None, None)
     if purse.spend is None:
-        return np.flatnonzero(undominated(extra, y, room, given.merge, expired, here))
+        kept = undominated(extra, y, room, given.merge, expired, here, across)
+        return np.flatnonzero(kept), 0
     alive = np.arange(len(room))
     if margin < given.budget:
         alive = np.flatnonzero(undominated(extra, y, room, -margin, expired, here))
+        if rests:
+            return alive, rests - 1
     y, room = y[alive], room[alive]
-    who = None if here is None else here[alive], spent[alive], purse.multiplier
-    return np.asarray(alive[undominated(extra[alive], y, room, given.merge, expired, *who)])
+    who = None if here is None else here[alive], None, spent[alive], purse.multiplier
+    kept = undominated(extra[alive], y, room, given.merge, expired, *who)
+    return alive[kept], RESTS if 3 * kept.sum() > 2 * len(alive) else 0
 
 
 def _extended(

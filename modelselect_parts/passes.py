@@ -21,7 +21,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -40,25 +40,22 @@ class Cut(NamedTuple):
     spent: float
 
 
-# What is proved of L(lam), who proved it, a cut that is tight there.
-Solved = tuple[float, Any, Cut]
-
-
-def dual(
-    solved: Callable[[float], Solved],
+def best_price(
+    cut_at: Callable[[float], Cut],
     limit: float,
     known: Cut,
     multiplier: float,
     expired: Callable[[], bool],
-) -> tuple[float, float, Any]:
-    """Maximise L all but for a tenth of the gap; return the best bound, its lam and its witness.
+) -> float:
+    """Return a lam at which L is within a tenth of the gap of its maximum, as far as cuts tell.
 
-    `known` is the cut of a schedule that keeps the limit; begin at the `multiplier`.
+    `cut_at` gives the cut of a schedule that is good at a lam, `known` is that of one that keeps
+    the limit; begin at the `multiplier`.
     """
-    lam, falling, rising, best = multiplier, known, None, (-math.inf, 0.0, None)
+    lam, falling, rising, best = multiplier, known, None, (-math.inf, multiplier)
     for _ in range(CUTS):
-        bound, witness, cut = solved(lam)
-        best = max(best, (bound, lam, witness), key=lambda found: found[0])
+        cut = cut_at(lam)
+        best = max(best, (cut.cost + lam * (cut.spent - limit), lam))
         if expired():
             break
         if cut.spent > limit:
@@ -74,7 +71,7 @@ def dual(
         meeting = falling.cost + lam * (falling.spent - limit)
         if meeting - best[0] <= ENOUGH * (known.cost - best[0]):
             break
-    return best
+    return best[1]
 
 
 @dataclass

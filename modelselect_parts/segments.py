@@ -54,10 +54,14 @@ def widths(form: Form, known: list[int]) -> list[int]:
 
     The first need not be complete: what it finds makes the next one shorter.  With switching costs
     or a budget fewer labels dominate others, so that 64 rarely find much; tried at H = 50 and 150.
+    With both, the price of the budget comes after the first pass: what is left needs many labels,
+    and a pass that is too narrow for it proves nothing that the price has not.
     Of systems, few need 512 where 64 did not do: they have bounds ahead by then.
     """
     if isinstance(form.M, Sensitivity):
         return known[:1] + known[2:]
+    if form.arc is not None and form.price is not None:
+        return known[1:2] + known[4:]
     return known if form.bare else known[1:]
 
 
@@ -68,6 +72,8 @@ def passes_before_bounds(form: Form) -> int:
     They come after as many labels whether the first pass had 64 or 512 (`widths`).
     """
     if isinstance(form.M, Sensitivity):
+        return 1
+    if form.arc is not None and form.price is not None:
         return 1
     passes = 2 if is_long(form.mean) else 3
     return passes if form.bare else passes - 1

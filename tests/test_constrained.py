@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 import modelselect as ms
 from modelselect import SelectionProblem
-from modelselect_parts import label_search, local_search, passes, trellis
+from modelselect_parts import dominance, label_search, local_search, passes, trellis
 from modelselect_parts import triangle as triangles
 
 SEEDS = st.integers(0, 2**32 - 1)
@@ -168,7 +168,7 @@ def test_only_labels_that_spent_no_less_are_dominated(seed, dimensions, labels, 
     extra, y = np.sort(draw(labels)), draw((labels, dimensions)) / 4
     spent, state = draw(labels), rng.integers(0, 2, labels)
     room = np.sqrt(1 - extra)
-    kept = label_search.undominated(extra, y, room, 0.0, lambda: False, state, spent, 0.5)
+    kept = dominance.undominated(extra, y, room, 0.0, lambda: False, state, None, spent, 0.5)
     paid = extra - 0.5 * spent
     assert kept.any()
     for j in np.flatnonzero(~kept):
@@ -179,8 +179,29 @@ def test_only_labels_that_spent_no_less_are_dominated(seed, dimensions, labels, 
         assert claim.any(), "no label of its state that spent no more dominates it"
 
 
+@given(SEEDS, st.integers(1, 60), st.sampled_from([0, 10**9]))
+def test_a_label_of_another_model_costs_no_more_whatever_model_comes_before(seed, labels, many):
+    rng = np.random.default_rng(seed)
+    moves = rng.random((2, 3, 3)) / 4
+    moves[0, :, 2] = np.where(rng.random() < 0.5, np.inf, moves[0, :, 2])  # of no use
+    detour = dominance.detours(moves, 1)
+    assert dominance.detours(moves[:, :1], 1) is None and not dominance.detours(moves, 0).any()
+    extra, state = np.sort(rng.random(labels)), rng.integers(0, 3, labels)
+    y = rng.normal(size=(labels, 3)) * [0.1, 0.01, 1e-9]
+    room = np.sqrt(1 - extra)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(dominance, "MANY", many)
+        kept = dominance.undominated(extra, y, room, 0.0, lambda: False, state, detour)
+    v = rng.normal(size=(40, 3)) / 4
+    whole = extra[:, None] + ((v + y[:, None]) ** 2).sum(axis=-1)
+    whole = whole[:, None] + moves[0, state][:, :, None]  # [label, model before, v]
+    within = whole <= 1
+    best = np.where(kept[:, None, None], whole, np.inf).min(axis=0)
+    assert kept.any() and (best <= whole + 1e-12)[within].all()
+
+
 @given(SEEDS)
-def test_the_dual_of_a_budget_is_a_bound_that_no_price_beats_by_much(seed):
+def test_no_price_of_a_budget_beats_the_best_one_by_much(seed):
     problem = a_problem(seed)
     schedules = schedules_of(problem)
     cost, spent = problem.total_cost(schedules), problem.perception_term(schedules)
@@ -190,22 +211,21 @@ def test_the_dual_of_a_budget_is_a_bound_that_no_price_beats_by_much(seed):
     k = legal[cost[legal].argmin()]
     tried = []
 
-    def solved(lam):
+    def cut_at(lam):
         tried.append(lam)
         c = (cost + lam * (spent - limit)).argmin()
-        bound = cost[c] + lam * (spent[c] - limit)
-        return bound, c, passes.Cut(float(cost[c]), float(spent[c]))
+        return passes.Cut(float(cost[c]), float(spent[c]))
 
     known = passes.Cut(float(cost[k]), float(spent[k]))
     first = float(np.random.default_rng(seed).random())
-    bound, lam, c = passes.dual(solved, limit, known, first, lambda: False)
+    lam = passes.best_price(cut_at, limit, known, first, lambda: False)
     asked = len(tried)
-    passes.dual(solved, limit, known, first, lambda: True)
+    passes.best_price(cut_at, limit, known, first, lambda: True)
     assert len(tried) == asked + 1  # out of time
     del tried[asked:]
     tiny = 1e-12 * np.abs(cost).max()
     assert lam in tried and lam >= 0 and len(tried) <= passes.CUTS
-    assert bound == pytest.approx(cost[c] + lam * (spent[c] - limit))
+    bound = float((cost + lam * (spent - limit)).min())
     # The best price lies where two schedules cost the same, or at 0.
     rise, run = cost[:, None] - cost, spent - spent[:, None]
     prices = (rise[run > 0] / run[run > 0]).clip(0)
@@ -252,9 +272,11 @@ def test_labels_that_a_margin_drops_lead_to_no_schedule_within_the_budget(seed, 
     purse = triangles.Purse(0.5, np.zeros((1, 2, 2)), None, 1.0, 1.0, 0.0)
     partial = label_search.Labels(extra, spent, y, state)
     expired = lambda: False  # noqa: E731
-    margins = (np.inf, budget - floor)
+    margins, detour = (np.inf, budget - floor), np.zeros((2, 2))
+    told = purse, given_
     without, kept = (
-        label_search._survivors(partial, room, purse, given_, margin, expired) for margin in margins
+        label_search._survivors(partial, room, *told, margin, detour, 0, expired)[0]
+        for margin in margins
     )
     gone = np.setdiff1d(np.arange(labels), kept)
     assert set(kept) <= set(range(labels)) and len(kept) <= len(without)
@@ -273,10 +295,10 @@ def test_a_price_of_the_budget_proves_what_the_relaxation_leaves_open():
     Psi = ms.psi(ms.ControlTask(one, one, one, one, one, H))
     problem = SelectionProblem(Psi, mean, 0 * mean, [0, 0, 1.5], beta=0.01, **limits)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(ms, "WIDTHS", [8, 8, 64, 512, 4096])
-        found = ms.dynamic_program(problem, max_labels=4096)
+        patch.setattr(ms, "WIDTHS", [8, 8, 64, 512, 8192])
+        found = ms.dynamic_program(problem, max_labels=8192)
         patch.setattr(passes.Search, "may_price", lambda search: False)
-        without = ms.dynamic_program(problem, max_labels=4096)
+        without = ms.dynamic_program(problem, max_labels=8192)
     assert found.is_optimal and not without.is_optimal
     assert without.lower_bound <= found.cost <= without.cost
 

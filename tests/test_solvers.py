@@ -15,7 +15,7 @@ from scipy.optimize import lsq_linear
 
 import modelselect as ms
 from modelselect import SelectionProblem
-from modelselect_parts import label_search, trellis
+from modelselect_parts import dominance, trellis
 from modelselect_parts import triangle as triangle_part
 from modelselect_parts.semidefinite import cholesky_solver
 from perception import published_suite, textbook_suite
@@ -295,7 +295,7 @@ def test_only_dominated_labels_are_discarded(seed, dimensions, labels, whole):
         if whole
         else rng.normal(size=(labels, dimensions)) / 10
     )
-    kept = label_search.undominated(extra, y, np.sqrt(1 - extra), 0.0, lambda: False)
+    kept = dominance.undominated(extra, y, np.sqrt(1 - extra), 0.0, lambda: False)
     assert kept[0]
     for j in np.flatnonzero(~kept):
         rho = np.linalg.norm(y[:j] - y[j], axis=1)
@@ -305,7 +305,7 @@ def test_only_dominated_labels_are_discarded(seed, dimensions, labels, whole):
 
 def test_equal_offsets_merge_although_they_differ_by_rounding():
     y = np.array([[0.1 + 0.2], [0.3], [-1e-17], [1e-17]])
-    kept = label_search.undominated(np.zeros(4), y, np.ones(4), 1e-10, lambda: False)
+    kept = dominance.undominated(np.zeros(4), y, np.ones(4), 1e-10, lambda: False)
     assert kept.sum() == 2
 
 

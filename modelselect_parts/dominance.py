@@ -1,0 +1,188 @@
+r"""Which partial schedules no better one makes superfluous, on bare arrays.
+
+Let i, j be labels (see label_search.py) at distance rho = |y_i - y_j|.  A completion costs them
+|v + y_i|^2 and |v + y_j|^2 plus the same moves, and (y_i - y_j)'(v + y_j) <= rho room_j for every
+completion of j within the budget (see `label_search.Ahead.room`).  So |v + y_i|^2 <= |v + y_j|^2 +
+2 rho room_j + rho^2, and i is never worse if
+
+    extra_i + 2 rho room_j + rho^2 <= extra_j    (or exceeds it by `merge`).
+
+*Moves that cost something.*  Where i and j are in different states, a completion costs i at most
+`detours` more, which is added on the left.
+
+*A limit.*  Then i must be in the state of j and must not have spent more, and extra - lam spent
+takes the place of extra: the rest of what they may spend is paid for at the end.
+
+Any label may be tested against any other.  Tests are made against the cheapest of the same cell of
+a grid, for cells of several sizes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from modelselect_parts.checks import Array, Choices, Mask
+
+Cells = npt.NDArray[np.uint64]
+
+# Sides of cells: the largest room, halved so often; the last: all but equal.
+GRIDS = (0, 1, 2, 3, 4, 5, 6, 7, 24)
+ODD = np.uint64(0x9E3779B97F4A7C15)  # 2^64 over the golden ratio
+MANY = 512  # labels from which passes with detours are worth their time
+TELLING = 1e-6  # the share of the room that labels must differ by for a direction to tell cells
+
+
+class Pairs(NamedTuple):
+    """What a test of label i against label j looks at."""
+
+    paid: Array  #: (labels,)
+    room: Array  #: (labels,)
+    y: Array  #: (labels, r)
+    near: Array  #: (labels, r'), the coordinates that tell labels apart
+    far: float  #: what the others add to rho^2 at most
+
+    def never_worse(self, i: Choices, j: Choices, due: Array) -> Mask:
+        """Mark the pairs where i has paid no more than is `due`, however j goes on."""
+        return self._within(i, j, _apart(self.y, i, j), due)
+
+    def screened(self, i: Choices, j: Choices, due: Array) -> Mask:
+        """Mark the same pairs; look first at what is quick, as most of them fail."""
+        passed = self.paid[i] <= due
+        hope = np.flatnonzero(passed)
+        i, j, due = i[hope], j[hope], due[hope]
+        rho2 = _apart(self.near, i, j)
+        well = self._within(i, j, rho2, due)
+        if self.near is not self.y:  # rho^2 is not known where it matters
+            close = np.flatnonzero(well & ~self._within(i, j, rho2 + self.far, due))
+            well[close] = self.never_worse(i[close], j[close], due[close])
+        passed[hope] = well
+        return np.asarray(passed)
+
+    def _within(self, i: Choices, j: Choices, rho2: Array, due: Array) -> Mask:
+        return np.asarray(self.paid[i] + 2 * np.sqrt(rho2) * self.room[j] + rho2 <= due)
+
+
+def undominated(
+    extra: Array,
+    y: Array,
+    room: Array,
+    merge: float,
+    expired: Callable[[], bool],
+    state: Choices | None = None,
+    detour: Array | None = None,
+    spent: Array | None = None,
+    multiplier: float = 0.0,
+) -> Mask:
+    """Mark the labels, sorted by extra cost, that no cheaper label nearby makes superfluous.
+
+    All are in one `state` where none is given; without `detour` none stands for another state.
+    A grid is passed over once for labels of one state, and with detours once for all.
+    """
+    paid = extra if spent is None else extra - multiplier * spent
+    alive = np.arange(len(extra)) if spent is None else np.argsort(spent, kind="stable")
+    rank = None if spent is None else _ranks(paid)
+    largest = float(room.max(initial=0))
+    many = state is not None and len(extra) >= MANY
+    pairs = Pairs(paid, room, y, *(_telling(y, TELLING * largest) if many else (y, 0.0)))
+    powers = np.cumprod(np.full(pairs.near.shape[1] + 2, ODD, dtype=np.uint64))[1:]
+    fruitful = [True] if detour is None or not many else [True, True]
+    for halvings in GRIDS:
+        if len(alive) < 2 or largest == 0 or expired():
+            break
+        if not (any(fruitful) or halvings == GRIDS[-1]):
+            continue
+        side = largest / 2**halvings
+        corner = np.floor(pairs.near.take(alive, axis=0) / side + 0.618 * halvings)
+        cell = corner.astype(np.int64).view(np.uint64) @ powers[:-1]  # grids share no borders
+        for across in range(len(fruitful)):
+            if not (fruitful[across] or halvings == GRIDS[-1]):
+                continue
+            own = None if across else state
+            key = cell if own is None else cell + own[alive].astype(np.uint64) * powers[-1]
+            first = _first_of_cell(key) if rank is None else _cheapest_so_far(key, rank[alive])
+            i, j = alive[first], alive
+            tested = (i != j if own is None else (i != j) & (own[i] == own[j])).nonzero()[0]
+            i, j = i[tested], j[tested]
+            due = paid[j] + merge
+            if across and state is not None and detour is not None:
+                due -= detour[state[i], state[j]]
+            test = pairs.screened if many else pairs.never_worse
+            gone = tested[test(i, j, due)]
+            fruitful[across] = halvings < 2 or len(gone) > len(alive) / 100
+            stays = np.ones(len(alive), dtype=bool)
+            stays[gone] = False
+            alive, cell = alive[stays], cell[stays]
+    kept = np.zeros(len(extra), dtype=bool)
+    kept[alive] = True
+    return kept
+
+
+def detours(moves: Array, t: int) -> Array | None:
+    """Return what the same steps before t cost state a more than state b at most, [a, b].
+
+    The greatest moves[t-1, a, v] - moves[t-1, b, v] of all models v before; nothing before step 0.
+    """
+    states = moves.shape[1]
+    if states == 1:
+        return None
+    if t == 0:
+        return np.zeros((states, states))
+    from_a, from_b = moves[t - 1][:, None], moves[t - 1]
+    with np.errstate(invalid="ignore"):
+        more = np.where(from_b < np.inf, from_a - from_b, -np.inf)
+    return np.asarray(more.max(axis=-1))
+
+
+def _apart(y: Array, i: Choices, j: Choices) -> Array:
+    """Return rho^2 of pairs of labels."""
+    apart = y.take(i, axis=0) - y.take(j, axis=0)
+    return np.asarray(np.einsum("ij,ij->i", apart, apart))
+
+
+def _telling(y: Array, least: float) -> tuple[Array, float]:
+    """Return the columns of y in which labels differ by more than `least`; what others add."""
+    spread = np.ptp(y, axis=0)
+    tells = spread > least
+    return (y, 0.0) if tells.all() else (y[:, tells], float((spread[~tells] ** 2).sum()))
+
+
+def _first_of_cell(cell: Cells) -> Choices:
+    """Return for every label the first of its cell.
+
+    The top bits of a cell's number index a table.  Cells that share an entry do no harm, as tests
+    are exact.
+    """
+    bits = len(cell).bit_length() + 2
+    key = cell >> np.uint64(64 - bits)
+    table = np.empty(2**bits, dtype=np.intp)
+    table[key[::-1]] = np.arange(len(cell))[::-1]  # of equal keys, the first stays
+    return np.asarray(table[key])
+
+
+def _ranks(paid: Array) -> Choices:
+    """Return the place of every label in the order of what it has paid."""
+    rank = np.empty(len(paid), dtype=np.intp)
+    rank[np.argsort(paid, kind="stable")] = np.arange(len(paid))
+    return rank
+
+
+def _cheapest_so_far(cell: Cells, rank: Choices) -> Choices:
+    """Return for every label the one of its cell that has paid least, up to itself.
+
+    Labels come in the order of what they have spent, so it has not spent more.  Sixteen bits of a
+    cell's number do for some ten thousand labels, and sort in linear time.
+    """
+    n, most = len(cell), int(rank.max()) + 1
+    key = (cell >> np.uint64(48)).astype(np.uint16) if n < 2**16 else cell
+    order = np.argsort(key, kind="stable")
+    key = key[order]
+    number = np.cumsum(np.append(True, key[1:] != key[:-1]))
+    least = np.minimum.accumulate(rank[order] - most * number)  # cells count down: each anew
+    label, found = np.empty(most, dtype=np.intp), np.empty(n, dtype=np.intp)
+    label[rank] = np.arange(n)
+    found[order] = label[least % most]
+    return found
