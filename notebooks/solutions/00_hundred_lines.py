@@ -41,7 +41,8 @@ def narrow(A, B, C, Q, R, mean, d, reduced, room, width):
 # the cost of a schedule is room, and very many partial schedules cost about the same and differ in
 # their costates. Prices settle most steps, and so make the search easy. Large errors alone do not
 # matter: with prices and variances a hundred times as large, too, errors ten times as large change
-# nothing. At the same prices they make the search harder, as lower prices would.
+# nothing. At the same prices the cart's search is hardest in between (three times as large: up to
+# 66 labels a step): ten times as large, the accurate model wins nearly everywhere.
 
 
 # %%
