@@ -97,7 +97,7 @@ def test_rows_with_limits_keep_them_and_cost_more(capsys):
     best, problem = names["schedule"], names["problem"]
     loaded = beyond("switching costs, a model in memory", names)
     assert loaded.is_optimal and loaded.cost > best.cost
-    assert beyond("a hard budget, what one more unit would save", names) > 0
+    assert beyond("a hard budget, what a little more saves a unit", names) > 0
     limited = names["solve"](names["replace"](problem, budget=0.5))
     assert limited.is_optimal and problem.perception_term(limited.choices) <= 0.5
     front = beyond("all Pareto points, each proved", names)

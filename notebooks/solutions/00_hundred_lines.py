@@ -40,7 +40,9 @@ def narrow(A, B, C, Q, R, mean, d, reduced, room, width):
 # Free models of both signs. A blend of them errs by 0, so the bound is 0 and nothing is dear: all
 # the cost of a schedule is room, and very many partial schedules cost about the same and differ in
 # their costates. Prices settle most steps, and so make the search easy. Large errors alone do not
-# matter: errors ten times as large make every cost and the room a hundred times as large.
+# matter: with prices and variances a hundred times as large, too, errors ten times as large change
+# nothing. At the same prices the cart's search is hardest in between (three times as large: up to
+# 66 labels a step): ten times as large, the accurate model wins nearly everywhere.
 
 
 # %%
