@@ -38,21 +38,6 @@ def cross_fit(folds, fit=None):
 # %% [markdown]
 # ## Exercise 3
 #
-# Given $\\ln \\hat z$, $\\ln z$ is normal with mean $m + k (\\ln \\hat z - m)$, $k = p^2 / (p^2 + n^2)$,
-# and variance $(1 - k) p^2$: what is unsure is drawn to the middle. The mean of $e^x$ is $e^{\\text{mean}
-# + \\text{variance} / 2}$: above the median, as $z$ is skew.
-
-
-# %%
-def expected_distance(z_hat, m, p, n):
-    """Return E[z | z_hat], an array like z_hat."""
-    k = p**2 / (p**2 + n**2)
-    return np.exp(m + k * (np.log(z_hat) - m) + (1 - k) * p**2 / 2)
-
-
-# %% [markdown]
-# ## Exercise 4
-#
 # Too narrow: few pictures count at each step, so the optimum picks lucky ones, and promises least
 # just where it is worst. Too wide: all distances count alike, so that $r$ is blurred into one number
 # a model, and what differs near and far is lost; its promise is wrong, but not by luck. More pictures
@@ -63,4 +48,4 @@ def expected_distance(z_hat, m, p, n):
 def too_narrow_too_wide():
     """Return two widths, and a sentence that explains what goes wrong with each."""
     why = "Too narrow a kernel leaves so few pictures that luck chooses; too wide a one blurs distances."
-    return 0.01, 5.0, why
+    return 0.03, 5.0, why
