@@ -334,5 +334,5 @@ def draw_stages(stages: Sequence[str], promised: Array, flown: Mapping[str, Arra
     for panel, title in zip(axes, titles, strict=True):
         panel.set(title=f"{title}, in flight", yscale="log", xlim=(-0.4, len(stages) - 0.2))
         panel.set_xticks(place, stages)
-    axes[0].legend()
+    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside right upper")
     return figure

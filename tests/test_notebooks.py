@@ -39,7 +39,7 @@ MOST_HTML = 1_500_000  # bytes of a page inside a notebook, such as an animation
 
 # Twenty minutes of reading.  Words: of all Markdown, with answers and exercises; formulas, names in
 # code and numbers are none.  Lines: not blank, and open to the eye: no hidden, exercise or check.
-SHORT = [name for name in NAMES if name[:2] != "06"]
+SHORT = NAMES
 MOST_WORDS, MOST_LINES = 1400, 120
 UNSEEN = {"hide-input", "exercise", "check"}
 MOST_COPIED = 100  # lines of the cell that is the whole of it, in 00
