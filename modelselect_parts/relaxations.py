@@ -25,13 +25,21 @@ def of_weights(form: trellis.Form, b: Array, iterations: int = 0) -> Relaxation:
 
 
 def of_mixture(form: trellis.Form, found: column_generation.Columns | None) -> Relaxation:
-    """Certify a mixture of schedules; where there is none, no schedule is below infinity."""
+    """Certify a mixture of schedules; where there is none, no schedule is below infinity.
+
+    Where all that is feasible just keeps the limit, its price may be as high as one likes: a lower
+    one that bounds as well is taken, down to a half of the least, as products lose digits.
+    """
     if found is None:
         b = np.where(form.linear < np.inf, 1.0, 0.0)
         b /= b.sum(axis=1, keepdims=True)
         return Relaxation(b, trellis.mixed(form.mean, b), math.inf, math.inf, 0)
-    bound = trellis.certificate(form, found.reference, found.multiplier).bound
     b, d, multiplier, value, iterations = found
+    bound = trellis.certificate(form, d, multiplier).bound
+    if multiplier and (unpriced := trellis.certificate(form, d).bound) >= bound:
+        multiplier, bound = 0.0, unpriced
+    while multiplier and (lower := trellis.certificate(form, d, multiplier / 2).bound) >= bound:
+        multiplier, bound = multiplier / 2, lower
     return Relaxation(b, d, value, bound, iterations, multiplier)
 
 

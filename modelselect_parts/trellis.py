@@ -75,9 +75,7 @@ class Certificate(NamedTuple):
     reduced: Array  #: (H, W), >= 0: every schedule with model w at step t costs so much more
     base: float  #: `bound` = base + cheapest path of `node` and A = `Form.priced`
     node: Array  #: (H, W), G less each step's least
-    taken: (
-        float  #: rounding has put `base` and a path of `node` no lower than this, in exact numbers
-    )
+    taken: float  #: `base` and a path of `node` are at most so much too low, for rounding
 
 
 # ------------------------------------------------------------------------------ cheapest paths

@@ -121,6 +121,16 @@ def test_every_solver_finds_and_proves_the_cheapest_feasible_schedule(seed):
         ms.check_certificate(problem, schedule)
 
 
+def test_where_nothing_is_left_of_a_budget_its_price_is_a_small_one():
+    """Any price above a few is as good; 148635 cost seven digits of the bound."""
+    problem = a_problem(19462)
+    cheap, dear = problem.model_cost[0]
+    assert problem.budget == dear > cheap == 0  # what is feasible keeps it, one to the last digit
+    for solver in EXACT:
+        schedule = solver(problem)
+        assert schedule.multiplier < 10 and schedule.is_optimal
+
+
 def a_robots_problem(seed):
     """A task of one or two states, so that offsets have few directions, with all features."""
     rng = np.random.default_rng(seed)
