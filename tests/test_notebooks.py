@@ -39,7 +39,6 @@ MOST_HTML = 1_500_000  # bytes of a page inside a notebook, such as an animation
 
 # Twenty minutes of reading.  Words: of all Markdown, with answers and exercises; formulas, names in
 # code and numbers are none.  Lines: not blank, and open to the eye: no hidden, exercise or check.
-SHORT = NAMES
 MOST_WORDS, MOST_LINES = 1400, 120
 UNSEEN = {"hide-input", "exercise", "check"}
 MOST_COPIED = 100  # lines of the cell that is the whole of it, in 00
@@ -194,7 +193,7 @@ def test_words_are_counted_without_formulas_code_tags_and_numbers():
     assert words(text) == ["It's", "half", "of", "well-known"]
 
 
-@pytest.mark.parametrize("name", SHORT)
+@each_notebook
 def test_it_is_read_in_twenty_minutes(name):
     text = " ".join(source(cell) for cell in cells(name) if cell["cell_type"] == "markdown")
     seen = [c for c in cells(name) if not UNSEEN & set(c["metadata"].get("tags", []))]
@@ -209,7 +208,7 @@ def test_it_is_read_in_twenty_minutes(name):
     assert len(lines) <= MOST_LINES
 
 
-@pytest.mark.parametrize("name", SHORT)
+@each_notebook
 def test_it_asks_three_questions_and_folds_the_answers(name):
     text = "\n".join(source(cell) for cell in cells(name) if cell["cell_type"] == "markdown")
     recall = text.partition("\n## Recall\n")[2].partition("\n## Exercises\n")[0]
