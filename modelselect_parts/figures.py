@@ -334,5 +334,6 @@ def draw_stages(stages: Sequence[str], promised: Array, flown: Mapping[str, Arra
     for panel, title in zip(axes, titles, strict=True):
         panel.set(title=f"{title}, in flight", yscale="log", xlim=(-0.4, len(stages) - 0.2))
         panel.set_xticks(place, stages)
-    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside right upper")
+    entries = axes[0].get_legend_handles_labels()
+    figure.legend(*entries, loc="outside lower center", ncols=len(flown) + 1)  # hides no promise
     return figure

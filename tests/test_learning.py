@@ -285,6 +285,9 @@ def test_the_figure_shows_estimates_of_every_stage(result):
             np.testing.assert_allclose(heights, means)
     promised = figure.axes[0].lines[0].get_ydata()
     np.testing.assert_allclose(promised, [each.promised for each in flown.values()])
+    figure.draw_without_rendering()
+    (legend,) = figure.legends  # beside the panels: inside it could hide a promise
+    assert not any(legend.get_window_extent().overlaps(axes.bbox) for axes in figure.axes)
     plt.close(figure)
 
 
