@@ -582,12 +582,14 @@ def _searched(
     max_labels: int,
     time_left: Callable[[], float],
     skipped: int = 0,
+    shared: bool = False,
 ) -> Schedule:
     """Search pass by pass from a first schedule and its certificate (passes.py).
 
-    The narrowest passes may be `skipped`, where the first schedule is what they found.
+    The narrowest passes may be `skipped`, where the first schedule is what they found.  If the time
+    is `shared` with another solver, that one has what a longer pass would take most of.
     """
-    started, closed = perf_counter(), closes(gap, 0.0)
+    started, closed, seconds = perf_counter(), closes(gap, 0.0), 0.0
 
     def improve(choices: Choices) -> tuple[Choices, float]:
         better, _ = _swap(problem, choices, time_left)
@@ -603,7 +605,12 @@ def _searched(
             break
         if (price := problem.form.price) is not None and search.may_price():
             _price_the_budget(problem, search, price, time_left)
-        if not search.step(width) or (width == max_labels and not search.complete):
+        if shared and 1 < seconds > time_left() / 16:
+            break  # the next pass takes about eight times as long, more than half of what is left
+        begun = perf_counter()
+        again = search.step(width)
+        seconds = perf_counter() - begun
+        if not again or (width == max_labels and not search.complete):
             break  # again only with less to give away, or with room for more
     work = {"labels": search.labels, "passes": search.passes, "complete": search.complete}
     work["seconds"] = perf_counter() - started
@@ -763,8 +770,9 @@ def solve(
     """Find and certify a best schedule by the cheapest way that proves it.
 
     Uncoupled steps: one minimum per step.  Otherwise relax, round and swap; if the gap is still
-    open, `dynamic_program`.  If that runs into `max_labels` and a time limit leaves time, or into
-    rounding, `branch_and_bound`; the best schedule and the highest proved bound come back.
+    open, `dynamic_program`.  If that runs into `max_labels`, into passes of seconds that take most
+    of a time limit, or into rounding, `branch_and_bound` has the rest; the best schedule and the
+    highest proved bound come back.
 
     Parameters
     ----------
@@ -805,7 +813,7 @@ def solve(
     quick = _start(problem, relaxation, time_left)
     if quick.gap <= gap or time_left() <= 0:
         return quick
-    decoded = _searched(problem, quick, gap, max_labels, time_left)
+    decoded = _searched(problem, quick, gap, max_labels, time_left, shared=True)
     if decoded.gap <= gap or time_left() <= 0 or not (time_limit or decoded.work["complete"]):
         return decoded
     options: dict[str, Any] = {"gap": gap, "relaxation": relaxation}

@@ -643,6 +643,26 @@ def test_a_time_limit_returns_the_best_so_far_with_a_true_bound():
     assert schedule.cost <= ms.round_and_swap(problem).cost
 
 
+def test_what_a_long_pass_would_take_most_of_goes_to_branch_and_bound(monkeypatch):
+    """It finds what passes that a limit cuts off do not; here a second counts as forty."""
+    problem = known_suite(0, H=60, W=8, p=2, rank=8)
+    problem = replace(problem, variance=0 * problem.variance, model_cost=np.arange(8.0))
+    clock, given, real = ms.perf_counter, [], ms.branch_and_bound
+
+    def watched(problem, *, time_limit, **options):
+        given.append(time_limit)
+        return real(problem, time_limit=time_limit, **options)
+
+    monkeypatch.setattr(ms, "perf_counter", lambda: 40 * clock())
+    monkeypatch.setattr(ms, "branch_and_bound", watched)
+    schedule = ms.solve(problem, time_limit=80)
+    assert given[0] > 20  # of 80; yesterday the passes took all
+    ms.check_certificate(problem, schedule)
+    given.clear()
+    ms.dynamic_program(problem, time_limit=20)  # alone, it shares with nobody
+    assert not given
+
+
 def test_schedule_gap_is_relative_to_the_larger_of_cost_and_bound():
     one = ms.solve(known_suite(0, H=3))
     assert replace(one, cost=2.0, lower_bound=1.0).gap == 0.5
