@@ -26,6 +26,7 @@ from modelselect_parts import measured
 from modelselect_parts.flights import estimate
 from modelselect_parts.rivals import policies
 from modelselect_parts.sight import gains_for
+from modelselect_parts.tables import undecided
 
 HERE = Path(__file__).resolve().parent
 FILE = HERE.parent / "notebooks" / "data" / "tags.csv"
@@ -83,7 +84,7 @@ def one_to_one(Psi: np.ndarray, suite: perception.PerceptionSuite) -> float:
 def interval(rows: list[dict[str, Any]], name: str, unit: float = 100.0) -> str:
     """Return the mean over splits and half of its 95% t-interval, or what it leaves undecided."""
     mean, half = estimate(unit * np.array([row[name] for row in rows]))[0]
-    mark = " undecided" if unit == 100 and abs(mean) <= half else ""
+    mark = " undecided" if unit == 100 and undecided(mean, half) else ""
     return f"{mean:.{1 if unit == 100 else 2}f} ± {half:.{1 if unit == 100 else 2}f}{mark}"
 
 
