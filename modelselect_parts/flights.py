@@ -247,12 +247,13 @@ def compare(found: Mapping[str, Regret], alpha: float, beta: float) -> tuple[Arr
 def leads(totals: Mapping[str, Array]) -> dict[str, tuple[float, float]]:
     """Return by what share Optimal's mean total lies below the others', with half of its interval.
 
-    Of paired flights: the interval of the mean difference, as a share of the other's mean.
+    Of paired flights: the interval of the mean difference, as a share of the other's mean.  That
+    of a few flights can be negative, as noise may happen to help: then of its size.
     """
     found = {}
     for policy, total in totals.items():
         if policy != "Optimal":
-            whole = total.mean() or math.inf  # where nothing is lost, nothing is saved
+            whole = abs(total.mean()) or math.inf  # where nothing is lost, nothing is saved
             found[policy] = tuple(estimate(total - totals["Optimal"])[0] / whole)
     return found
 

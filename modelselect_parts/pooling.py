@@ -61,13 +61,22 @@ def labelled(measured: Residuals | Labelled) -> Labelled:
     if isinstance(measured, Labelled):
         return measured
     check_class("measured", measured, "Residuals")
-    W = len(measured.names)
-    if (measured.model != np.repeat(np.arange(W), len(measured.model) // W)).any():
+    W, M = len(measured.names), len(measured.model) // len(measured.names)
+    if measured.residual.size != len(measured.model) or len(measured.variables) > 1:
+        raise ValueError("measured: expected errors (N,) over one variable, found several columns")
+    if not np.array_equal(measured.model, np.repeat(np.arange(W), M)):
         raise ValueError("measured: expected all models on the same pictures, one after the other")
     h, e = measured.altitude.reshape(W, -1)[0], measured.residual.reshape(W, -1)
     if (measured.altitude != np.tile(h, W)).any():
         raise ValueError("measured: expected all models at the same altitudes, in the same order")
     return Labelled(h, e, np.arange(len(h)), h)
+
+
+def _groups(pictures: Labelled) -> int:
+    """Return how many groups there are; of a single one none can be left out, or drawn instead."""
+    if (count := len(np.unique(pictures.group))) < 2:
+        raise ValueError(f"measured: expected pictures of 2 or more groups, found {count}")
+    return count
 
 
 def joined(first: Labelled, second: Labelled) -> Labelled:
@@ -87,6 +96,8 @@ def _nearness(at: Array, here: Array, width: float) -> Array:
 
 def _kernel(pictures: Labelled) -> Kernel:
     """Return the kernel of `WIDTH` in ln z, as `fit_suite` takes it: in deviations of ln z."""
+    if not np.ptp(pictures.distance) > 0:
+        raise ValueError("measured: expected pictures from several altitudes, found one only")
     return Kernel(WIDTH / np.log(pictures.distance).std(), log=["distance"], relative="distance")
 
 
@@ -112,10 +123,12 @@ def bootstrapped(
     the pictures of one landing share.  The sample size is that of groups, with k_g their sums of
     k: n = (sum k_g)^2 / sum k_g^2, rounded down, 2 at least.  `guard_suite` reads both.
     """
-    z, here = pictures.distance, path + MOUNT
+    if np.isnan(pictures.error).any():
+        raise ValueError("measured: expected errors, found looks that gave nothing")
+    G, z, here = _groups(pictures), pictures.distance, path + MOUNT
     k, r = _nearness(z, here, WIDTH), pictures.error / z
     first = np.flatnonzero(np.diff(pictures.group, prepend=-1))  # of each group
-    total, G = np.add.reduceat(k, first, axis=1), len(first)
+    total = np.add.reduceat(k, first, axis=1)
     drawn = rng.multinomial(G, np.full(G, 1 / G), check_count("repeats", repeats, minimum=2)).T
     weight = total @ drawn
     spread = [
@@ -198,6 +211,7 @@ def calibrate_all(
     The former rest on all `pictures`, the latter are those of maps fitted without the fifth of the
     groups that a picture is in: a map that has seen it would look too good.
     """
+    _groups(pictures)
     h, error = pictures.altitude, np.empty_like(pictures.error)
     pairs = list(zip(networks, pictures.error, strict=True))
     for fold in range(FOLDS):

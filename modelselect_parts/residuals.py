@@ -169,7 +169,8 @@ def guard_suite(suite: PerceptionSuite, level: float = 0.95) -> PerceptionSuite:
 def altitude_bins(altitude: ArrayLike, trajectory: ArrayLike, count: int) -> Array:
     """Return count + 1 edges around a trajectory, with equally many altitudes in every bin.
 
-    Of the `altitude` (N,) of residuals, those beyond the `trajectory` (H,) do not count.
+    Of the `altitude` (N,) of residuals, those beyond the `trajectory` (H,) do not count.  Edges are
+    fewer where so many altitudes are the same that bins between them would be empty.
     """
     h = check_path(trajectory, None)
     near = check_array("altitude", altitude, "N", (None,))
@@ -177,7 +178,7 @@ def altitude_bins(altitude: ArrayLike, trajectory: ArrayLike, count: int) -> Arr
     if len(near) < bins:
         raise ValueError(f"altitude: expected {bins} or more along the way, found {len(near)}")
     inner = np.linspace(0, 1, bins + 1)[1:-1]
-    return np.array([h.min(), *np.quantile(near, inner), h.max()])
+    return np.unique([h.min(), *np.quantile(near, inner), h.max()])
 
 
 # --------------------------------------------------------------------------- what a fit looks at

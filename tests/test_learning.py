@@ -122,6 +122,48 @@ def test_errors_must_be_of_the_same_pictures(spoil):
         pooling.labelled(spoil(r))
 
 
+def test_errors_are_one_of_a_picture_from_several_altitudes():
+    """Refused where they are not, in one line that says of what, and not by an inner sum."""
+    aircraft, rng = landing.preset("textbook", 5), np.random.default_rng(0)
+    h, e = np.tile(np.geomspace(1, 100, 60), 2), rng.normal(size=120)
+    model, names = np.repeat([0, 1], 60), ["a", "b"]
+    refused = {
+        "all models on the same pictures": Residuals(names, [0, 0, 1], [1.0, 2, 3], [1.0, 2, 3]),
+        "one variable": Residuals(names, model, h, np.stack([e, e], axis=1)),
+        "several altitudes": Residuals(names, model, 0 * h + 5, e),
+        "gave nothing": Residuals(names, model, h, np.where(h == h[3], np.nan, e)),
+    }
+    for words, measured in refused.items():
+        with pytest.raises(ValueError, match=f"^measured: expected .*{words}"):
+            landing.fit_landing(aircraft, measured, [0, 1], rng=rng)
+
+
+def test_a_single_landing_tells_nothing_of_others():
+    """Its bootstrap would be sure of everything, and a map judged by it has nothing to learn of."""
+    one = pictures(np.random.default_rng(9), 60)._replace(group=np.zeros(60, int))
+    suite = pooling.pooled_suite(one, PATH, [0, 1])
+    with pytest.raises(ValueError, match="measured: expected pictures of 2 or more groups, found"):
+        pooling.bootstrapped(suite, one, PATH, np.random.default_rng(0))
+    with pytest.raises(ValueError, match="measured: expected pictures of 2 or more groups, found"):
+        pooling.calibrate_all([Fixed(None)] * 2, one)
+
+
+@pytest.mark.filterwarnings("ignore:fit_suite")
+def test_bins_survive_landings_that_were_labelled_at_the_same_places():
+    """Half of the pictures count at one altitude: the edges on both sides of it are no two."""
+    seen = pictures(np.random.default_rng(10), 200)
+    place = np.where(np.arange(200) % 2, 26.0, seen.planned)
+    seen = seen._replace(planned=place, error=seen.error / seen.distance)
+    path = np.array([90.0, 26.0, 7.0])
+    suite = pooling.binned_suite(seen, path, [0, 1], 20)
+    edges = pooling.altitude_bins(place, path, 20)
+    assert (np.diff(edges) > 0).all() and 26.0 in edges
+    inside = (place >= 26) & (place < edges[edges > 26][0])
+    np.testing.assert_allclose(suite.mean[1, :, 0], seen.error[:, inside].mean(axis=1))
+    drawn = pooling.redraw(seen, path, 30, np.random.default_rng(0), 20)
+    assert np.isin(drawn[:, 1, 0], seen.error[0, inside]).all()
+
+
 # -------------------------------------------------------------------------------- calibration
 
 
@@ -256,11 +298,25 @@ def test_a_forecast_is_no_flight_by_sight(trained):
         fly_stages(run)
 
 
+def test_networks_that_an_experiment_does_not_use_do_not_fly(trained):
+    run = run_experiment(Settings(horizon=5, trials=2), trained=trained)
+    for fails in (fly_stages, landing.report_pictures):
+        with pytest.raises(ValueError, match="result: expected one of experiment trained"):
+            fails(run)
+
+
 def test_leads_are_paired_shares():
     totals = {"Optimal": np.array([1.0, 2, 3]), "Greedy": np.array([3.0, 5, 4])}
     lead, half = leads(totals)["Greedy"]
     assert lead == pytest.approx(2 / 4)
     assert half == pytest.approx(student.ppf(0.975, 2) * 1 / np.sqrt(3) / 4)
+
+
+@pytest.mark.parametrize("best", [-10.0, -2.0])
+def test_a_lead_is_one_where_the_other_total_is_negative(best):
+    """A single flight may gain by errors: who gains more leads all the same."""
+    totals = {"Optimal": np.array([best]), "Greedy": np.array([-5.0])}
+    assert leads(totals)["Greedy"][0] == pytest.approx((-5 - best) / 5)
 
 
 def test_the_report_shows_every_stage(result):
