@@ -184,7 +184,7 @@ def photograph_landings(seed: int) -> tuple[Array, list[Pictures]]:
     N, worlds, rows = len(altitude), draw_scenes(3, rng), []
     for world, side in [(0, 128), (1, 128), (2, 128), (2, 40)]:
         same = type(worlds)(*(np.repeat(table[world : world + 1], N, axis=0) for table in worlds))
-        same = same._replace(pose=draw_pose(N, np.random.default_rng([seed, world])))
+        same = same._replace(pose=draw_pose(N, np.random.default_rng([seed, world, 1])))
         rows.append(photograph(same, altitude, side, rng))
     return altitude, rows
 
