@@ -428,8 +428,8 @@ def learn(
 
 
 def _learned(result: Result) -> Trained:
-    if result.trained is None:
-        raise ValueError("result: expected one of experiment trained, found no networks")
+    if result.trained is None or result.settings.experiment != "trained":
+        raise ValueError("result: expected one of experiment trained, found no networks in use")
     return result.trained
 
 

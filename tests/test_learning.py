@@ -359,6 +359,13 @@ def test_a_forecast_is_no_flight_by_sight(trained):
         fly_stages(run)
 
 
+def test_networks_that_an_experiment_does_not_use_do_not_fly(trained):
+    run = run_experiment(Settings(horizon=5, trials=2), trained=trained)
+    for fails in (fly_stages, landing.report_pictures):
+        with pytest.raises(ValueError, match="result: expected one of experiment trained"):
+            fails(run)
+
+
 def test_leads_are_paired_shares():
     totals = {"Optimal": np.array([1.0, 2, 3]), "Greedy": np.array([3.0, 5, 4])}
     lead, half = leads(totals)["Greedy"]
