@@ -118,9 +118,9 @@ def fly_by_sight(
     """Land by what the scheduled readers see; return altitude, control cost and errors.
 
     True inputs s are (N, H, 1) and `choices` (H,); the `seed` of the scenes is the same for all
-    policies, and `gains` are those of `psi`.  With
-    another N all flights are through other scenes.  Altitudes are (N, H+1), costs (N,), and errors
-    s_hat - s (N, H, 1), or (N, H, K) of K others to `label`, where they are given.
+    policies, and `gains` are those of `psi`; with another N the scenes of all flights are others.
+    Altitudes are (N, H+1), costs (N,), and errors s_hat - s (N, H, 1), or (N, H, K) of K others to
+    `label`, where they are given.
     """
     check_information(information)
     if PATTERNS[information].foresight:
