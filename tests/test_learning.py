@@ -370,7 +370,21 @@ def test_leads_are_paired_shares():
     totals = {"Optimal": np.array([1.0, 2, 3]), "Greedy": np.array([3.0, 5, 4])}
     lead, half = leads(totals)["Greedy"]
     assert lead == pytest.approx(2 / 4)
-    assert half == pytest.approx(student.ppf(0.975, 2) * 1 / np.sqrt(3) / 4)
+    spread = np.std([0.5, 0.5, -1], ddof=1)  # of [2, 3, 1] - [3, 5, 4] / 2
+    assert half == pytest.approx(student.ppf(0.975, 2) * spread / np.sqrt(3) / 4)
+
+
+@pytest.mark.unmutated
+@pytest.mark.parametrize("keeps", [1.0, 0.85])
+def test_intervals_of_leads_hold_the_share_as_often_as_they_say(keeps):
+    """Whether Optimal is lower by a constant, a share of what varies, or by a factor."""
+    rng, held = np.random.default_rng(11), 0
+    for _ in range(1000):
+        total = rng.exponential(size=400) + 1
+        best = keeps * total + 0.02 * rng.normal(size=400) - 0.3 * (keeps == 1)
+        lead, half = leads({"Optimal": best, "Greedy": total})["Greedy"]
+        held += abs(lead - 0.15) <= half
+    assert abs(held / 1000 - 0.95) < 4 * np.sqrt(0.95 * 0.05 / 1000)
 
 
 @pytest.mark.parametrize("best", [-10.0, -2.0])
