@@ -345,12 +345,12 @@ def _learning(
     run: Settings, landing: Preset, first: learning.Stage, rng: Rng
 ) -> list[learning.Stage]:
     """Return the stages in which networks learn more: calibrated, then round by round."""
-    known = [first]
+    known, rounds = [first], rng.spawn(run.rounds + 1)  # the same, whatever a fit has drawn
     for k in range(0 if run.calibrate else 1, run.rounds + 1):
         able, last = first.skill, known[-1]
         if k > 0:
-            able, s = last.skill, landing.draw_inputs(rng, LABELLED)
-            given = (able, run.information, last.optimal.choices, rng, s, last.gains)
+            able, s = last.skill, landing.draw_inputs(rounds[k], LABELLED)
+            given = (able, run.information, last.optimal.choices, rounds[k], s, last.gains)
             able = able._replace(pictures=learning.label_landings(landing, *given))
         able = learning.skill(able.networks, able.pictures, run.calibrate)
         suite = _fitted(landing, run, rng, able)
@@ -380,11 +380,11 @@ def run_experiment(
     for name, given, kind in (("settings", settings, Settings), ("trained", trained, Trained)):
         if not isinstance(given, kind | None):
             raise ValueError(f"{name}: expected {kind.__name__}, found {shown(given)}")
-    streams = np.random.default_rng(run.seed).spawn(4)
+    streams = np.random.default_rng(run.seed).spawn(6)  # by `learn`, judges: first, fifth
     landing = preset(run.preset, run.horizon)
     if run.experiment == "trained" and trained is None:
         trained = learn(run.seed, progress=progress)
-    run, known = _known(run, landing, trained, streams[0])
+    run, known = _known(run, landing, trained, streams[5 if run.experiment == "trained" else 0])
     _, suite, gains, problem, optimal, seconds, _ = known[-1]
 
     s = landing.draw_inputs(streams[1], run.trials)

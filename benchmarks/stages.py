@@ -65,20 +65,20 @@ def measured(run: Settings, trained: perception.Trained, trials: int) -> dict[st
     last = result.stages[-1]
     result = landing.replace(result, stages=(last,))
     (by_sight,) = landing.fly_stages(result, trials).values()
-    streams = np.random.default_rng(run.seed).spawn(3)[1:]
-    s = result.landing.draw_inputs(np.random.default_rng(run.seed).spawn(2)[1], trials)
+    _, inputs, gaussian, _, bootstrap = np.random.default_rng(run.seed).spawn(5)
+    s = result.landing.draw_inputs(inputs, trials)
     seen, path = last.skill.seen, result.landing.path[:-1]
     drawn = (
-        perception.sample_errors(result.suite, trials, streams[0]),
-        pooling.redraw(seen, path, trials, streams[1], landing.FITS[run.fit]),
+        perception.sample_errors(result.suite, trials, gaussian),
+        pooling.redraw(seen, path, trials, bootstrap, landing.FITS[run.fit]),
     )
     given = result.landing, run.information, s
     ideal = landing.fly(*given, drawn[0], None, last.gains)[1]
-    gaussian, bootstrap = (
+    by_table, by_pictures = (
         (landing.fly(*given, errors, result.optimal.choices, last.gains)[1] - ideal).mean()
         for errors in drawn
     )
-    row = {"promised": by_sight.promised, "Gaussian": gaussian, "bootstrap": bootstrap}
+    row = {"promised": by_sight.promised, "Gaussian": by_table, "bootstrap": by_pictures}
     row["labelled"] = by_sight.labelled.mean() if len(by_sight.labelled) else ""
     row["flown"] = by_sight.lost["Optimal"].mean()
     row["flown/promised"] = row["flown"] / row["promised"]

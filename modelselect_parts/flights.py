@@ -184,7 +184,7 @@ def photograph_landings(seed: int) -> tuple[Array, list[Pictures]]:
     N, worlds, rows = len(altitude), draw_scenes(3, rng), []
     for world, side in [(0, 128), (1, 128), (2, 128), (2, 40)]:
         same = type(worlds)(*(np.repeat(table[world : world + 1], N, axis=0) for table in worlds))
-        same = same._replace(pose=draw_pose(N, np.random.default_rng([seed, world])))
+        same = same._replace(pose=draw_pose(N, np.random.default_rng([seed, world, 1])))
         rows.append(photograph(same, altitude, side, rng))
     return altitude, rows
 
@@ -247,14 +247,17 @@ def compare(found: Mapping[str, Regret], alpha: float, beta: float) -> tuple[Arr
 def leads(totals: Mapping[str, Array]) -> dict[str, tuple[float, float]]:
     """Return by what share Optimal's mean total lies below the others', with half of its interval.
 
-    Of paired flights: the interval of the mean difference, as a share of the other's mean.  That
-    of a few flights can be negative, as noise may happen to help: then of its size.
+    Of paired flights, with totals T_i and T_i - d_i, the share is r = mean d / mean T.  As mean T
+    is an estimate, too, its interval is that of the mean of d_i - r T_i, by mean T (delta method).
+    Mean T of a few flights can be negative, as noise may happen to help: then a share of its size.
     """
     found = {}
     for policy, total in totals.items():
         if policy != "Optimal":
-            whole = abs(total.mean()) or math.inf  # where nothing is lost, nothing is saved
-            found[policy] = tuple(estimate(total - totals["Optimal"])[0] / whole)
+            whole, saved = total.mean() or math.inf, total - totals["Optimal"]
+            share = saved.mean() / whole  # where nothing is lost, nothing is saved
+            half = half_width(saved - share * total) / abs(whole)
+            found[policy] = float(math.copysign(share, saved.mean())), half
     return found
 
 

@@ -112,7 +112,7 @@ def regret(
     """
     task, path, row = landing.task, landing.path, PATTERNS[information]
     N, H, _ = s.shape
-    streams = np.random.default_rng(seed).spawn(H)
+    streams = np.random.default_rng([seed, 1]).spawn(H)  # those of the seed alone draw inputs
 
     def errors(t: int, altitude: Array) -> Array:
         return draw(sights, np.maximum(altitude, LOWEST), streams[t])[:, [choices[t]]]

@@ -94,8 +94,9 @@ def _viewer(landing: Aircraft, N: int, seed: int) -> Callable[[int, Array], tupl
         pitch, seconds = np.clip(x[:, 2], -MOST_PITCH, MOST_PITCH), t * landing.dt
 
         def shoot(side: int) -> Pictures:
-            # Noise of its own stream, so that all policies meet the same poses.
-            noise, within = np.random.default_rng([seed, t]), np.clip(h, LOWEST, HIGHEST)
+            # Noise of its own stream, so that all policies meet the same poses; [seed, 0] would be
+            # that of the scenes, as NumPy pads a seed with zeros.
+            noise, within = np.random.default_rng([seed, t, 1]), np.clip(h, LOWEST, HIGHEST)
             return photograph(shaken, within, side, noise, pitch=pitch, seconds=seconds)
 
         return h, shoot

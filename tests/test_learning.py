@@ -13,7 +13,7 @@ from scipy.stats import t as student
 import landing
 import modelselect as ms
 from landing import Settings, fly_stages, learn, run_experiment
-from modelselect_parts import learning, pooling
+from modelselect_parts import learning, pooling, sight
 from modelselect_parts.flights import fly, leads
 from modelselect_parts.sight import fly_by_sight, gains_for
 from perception import ARCHITECTURE, HIGHEST, LOWEST, MOUNT, Residuals, sample_errors
@@ -235,6 +235,67 @@ def test_labels_are_the_errors_of_networks_where_the_drone_is(trained, result):
     np.testing.assert_allclose(again[1], cost)  # to be labelled changes no flight
 
 
+def states(recorded):
+    """What identifies a stream: where it stood when it was first handed over."""
+    return [str(rng.bit_generator.state["state"]) for rng in recorded]
+
+
+def test_training_knows_nothing_of_what_its_pictures_are_judged_by(trained, monkeypatch):
+    """Training, the fit, the rounds, scenes and noise draw from streams of their own."""
+    seen = []
+
+    def noting(where, name, at):
+        old = getattr(where, name)
+
+        def noted(*args, **options):
+            seen.extend(states([args[at] if at else options["rng"]]))
+            return old(*args, **options)
+
+        monkeypatch.setattr(where, name, noted)
+
+    monkeypatch.setattr(landing.perception, "train_models", lambda rng, **_: seen.append(rng))
+    learn(0)
+    seen[:] = states(seen)
+    noting(landing, "fit_landing", 0)
+    noting(sight, "draw_scenes", 1)
+    noting(sight, "photograph", 3)
+    run = run_experiment(Settings(**CHOSEN | {"horizon": 3, "rounds": 1}), trained=trained)
+    inputs = np.random.default_rng(0).spawn(2)[1:]
+    fly_by_sight(run.landing, trained.networks, "measurement", np.zeros((2, 3, 1)), [0, 1, 2], 0)
+    known = [*seen, *states(inputs)]
+    shots = {known.index(each) for each in known}  # the networks of one step share its noise
+    assert len(shots) == 1 + 2 + 2 + 2 * 3 + 1  # training, fits, scenes, noise, inputs
+
+
+def test_rounds_label_the_same_landings_whatever_is_fitted(trained):
+    """The first look is from the same place at the same scene: errors of the same sight."""
+    looks = []
+    for changes in ({}, {"fit": "bins"}, {"calibrate": True}):
+        settings = Settings(**CHOSEN | {"rounds": 1} | changes)
+        seen = run_experiment(settings, trained=trained).stages[-1].skill.pictures
+        looks.append(seen.error[:, seen.altitude.size - 400 :: 20])
+    np.testing.assert_array_equal(looks[0], looks[1])
+    np.testing.assert_array_equal(looks[0], looks[2])
+
+
+def test_the_stage_table_flies_through_errors_that_know_nothing_of_the_inputs(trained, monkeypatch):
+    """Their streams are those of a run: inputs, Gaussian errors, and a fifth for the bootstrap."""
+    pytest.importorskip("joblib", reason="of the extra benchmarks")
+    monkeypatch.syspath_prepend(str(Path(__file__).resolve().parents[1] / "benchmarks"))
+    import stages
+
+    run = Settings(**CHOSEN | {"horizon": 6})
+    row, result = stages.measured(run, trained, 30), run_experiment(run, trained=trained)
+    _, inputs, normal, _, drawn = np.random.default_rng(0).spawn(5)
+    s, choices = result.landing.draw_inputs(inputs, 30), result.optimal.choices
+    errors = {"Gaussian": sample_errors(result.suite, 30, normal)}
+    given = result.stages[-1].skill.seen, result.landing.path[:-1], 30, drawn, None
+    errors["bootstrap"] = pooling.redraw(*given)
+    for name, e in errors.items():
+        cost, ideal = (fly(result.landing, "measurement", s, e, c)[1] for c in (choices, None))
+        assert row[name] == pytest.approx((cost - ideal).mean())
+
+
 def test_regret_of_labels_is_the_quadratic_of_loops():
     rng = np.random.default_rng(8)
     error, Psi, choices = rng.normal(size=(2, 3 + 4 * 5)), rng.normal(size=(5, 5)), [0, 1, 1, 0, 1]
@@ -309,7 +370,21 @@ def test_leads_are_paired_shares():
     totals = {"Optimal": np.array([1.0, 2, 3]), "Greedy": np.array([3.0, 5, 4])}
     lead, half = leads(totals)["Greedy"]
     assert lead == pytest.approx(2 / 4)
-    assert half == pytest.approx(student.ppf(0.975, 2) * 1 / np.sqrt(3) / 4)
+    spread = np.std([0.5, 0.5, -1], ddof=1)  # of [2, 3, 1] - [3, 5, 4] / 2
+    assert half == pytest.approx(student.ppf(0.975, 2) * spread / np.sqrt(3) / 4)
+
+
+@pytest.mark.unmutated
+@pytest.mark.parametrize("keeps", [1.0, 0.85])
+def test_intervals_of_leads_hold_the_share_as_often_as_they_say(keeps):
+    """Whether Optimal is lower by a constant, a share of what varies, or by a factor."""
+    rng, held = np.random.default_rng(11), 0
+    for _ in range(1000):
+        total = rng.exponential(size=400) + 1
+        best = keeps * total + 0.02 * rng.normal(size=400) - 0.3 * (keeps == 1)
+        lead, half = leads({"Optimal": best, "Greedy": total})["Greedy"]
+        held += abs(lead - 0.15) <= half
+    assert abs(held / 1000 - 0.95) < 4 * np.sqrt(0.95 * 0.05 / 1000)
 
 
 @pytest.mark.parametrize("best", [-10.0, -2.0])

@@ -203,7 +203,7 @@ def test_the_drone_sees_the_picture_at_its_true_altitude(result):
     scene, h = draw_scenes(8, rng), np.full(8, 105.0)
     scene = scene._replace(pose=draw_pose(8, rng))
     network = result.trained.networks[2]
-    picture = photograph(scene, h, network.side, np.random.default_rng([5, 0]))
+    picture = photograph(scene, h, network.side, np.random.default_rng([5, 0, 1]))
     np.testing.assert_allclose(e[:, 0, 0], network.altitude(picture) - h)
     seen = altitude[:, :-1] + e[..., 0]
     assert seen.min() >= LOWEST - 1e-9 and seen.max() <= HIGHEST + 1e-9
