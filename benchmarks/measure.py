@@ -7,7 +7,7 @@ import os
 import platform
 import subprocess
 import sys
-from importlib.metadata import version
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
@@ -55,8 +55,16 @@ def machine() -> dict[str, Any]:
     """What the numbers depend on."""
     facts = {"cores": os.cpu_count(), "processor": _processor(), "system": platform.platform()}
     facts |= {"python": platform.python_version()}
-    facts |= {package: version(package) for package in PACKAGES}
+    facts |= {package: found for package in PACKAGES if (found := _version(package))}
     return facts | {"threads": 1, "threads set by": " ".join(f"{k}=1" for k in ONE_THREAD)}
+
+
+def _version(package: str) -> str | None:
+    """A script that compares with no other solver runs without it."""
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return None
 
 
 def _processor() -> str:
@@ -70,7 +78,7 @@ def _processor() -> str:
 
 def about(facts: dict[str, Any]) -> str:
     """One line on the machine, for below a table."""
-    packages = ", ".join(f"{package} {facts[package]}" for package in PACKAGES)
+    packages = ", ".join(f"{name} {facts[name]}" for name in PACKAGES if name in facts)
     return (
         f"Measured on {facts['cores']} cores ({facts['processor']}), Python {facts['python']}, "
         f"{packages}; one thread everywhere ({facts['threads set by']})."
