@@ -513,8 +513,8 @@ print("Exercise 2: right")
 # %% tags=["exercise"]
 def judged(width):
     """Return the total promised and the one by new pictures, of a kernel of this width in ln z."""
-    look = perception.Kernel(width / np.log(seen.distance).std(), ["altitude"], "altitude")
-    given = seen.over(seen.distance), kernel.landing.path[:-1] + perception.MOUNT, price
+    look = perception.Kernel(width / np.log(seen.distance).std(), ["distance"], "distance")
+    given = seen.over("distance"), kernel.landing.path[:-1] + perception.MOUNT, price
     table = perception.fit_suite(*given, kernel=look)
     problem = replace(kernel.problem, mean=table.mean, variance=table.variance)
     best = ms.solve(problem)
