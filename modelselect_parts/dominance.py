@@ -31,7 +31,7 @@ Cells = npt.NDArray[np.uint64]
 
 # Sides of cells: the largest room, halved so often; the last: all but equal.
 GRIDS = (0, 1, 2, 3, 4, 5, 6, 7, 24)
-ODD = np.uint64(0x9E3779B97F4A7C15)  # 2^64 over the golden ratio
+ODD = np.uint64(0x9E3779B97F4A7C15)  # 2^64 over the golden ratio: neighbours fall far apart
 MANY = 512  # labels from which passes with detours are worth their time
 TELLING = 1e-6  # the share of the room that labels must differ by for a direction to tell cells
 
@@ -88,7 +88,7 @@ def undominated(
     largest = float(room.max(initial=0))
     many = state is not None and len(extra) >= MANY
     pairs = Pairs(paid, room, y, *(_telling(y, TELLING * largest) if many else (y, 0.0)))
-    powers = np.cumprod(np.full(pairs.near.shape[1] + 2, ODD, dtype=np.uint64))[1:]
+    powers = np.cumprod(np.full(pairs.near.shape[1] + 1, ODD, dtype=np.uint64))
     fruitful = [True] if detour is None or not many else [True, True]
     for halvings in GRIDS:
         if len(alive) < 2 or largest == 0 or expired():
@@ -103,7 +103,9 @@ def undominated(
                 continue
             own = None if across else state
             key = cell if own is None else cell + own[alive].astype(np.uint64) * powers[-1]
-            first = _first_of_cell(key) if rank is None else _cheapest_so_far(key, rank[alive])
+            first = (
+                _first_of_cell(key) if rank is None else _cheapest_so_far(key * ODD, rank[alive])
+            )
             i, j = alive[first], alive
             tested = (i != j if own is None else (i != j) & (own[i] == own[j])).nonzero()[0]
             i, j = i[tested], j[tested]

@@ -372,16 +372,16 @@ for k, stage in enumerate(stages):
         print(f"{mean:8.1f} ± {half:4.1f}{' undecided' if abs(mean) < half else '':10}", end="")
     print()
 
-# %% alt="Three panels over the stages bins, kernel, calibrated, on-policy, filter; means of five seeds with intervals. Left, log scale: promised regret stays near 6,000 to 7,000, flown falls from 11,000 to 7,200, where both meet; at the filter 470 promised and 990 flown. Middle: totals of Optimal, 7,300 down to 5,400, then 730; those of Best Single lie above. Right: the lead over Best Single is 4, 11, 10, 14 and 5 percent; the intervals of bins and filter contain 0." tags=["hide-input"]
+# %% alt="Three panels over the stages bins, kernel, calibrated, on-policy, filter; means of five seeds with intervals. Left, log scale: promised regret stays near 6,000 to 7,000, flown falls from 11,000 to 7,600, where both meet; at the filter 550 promised and 1,030 flown. Middle: totals of Optimal, 7,300 down to 5,600, then 750; those of Best Single lie above. Right: the lead over Best Single is 4, 11, 9, 12 and 6 percent; the intervals of bins, on-policy and filter contain 0." tags=["hide-input"]
 lead, half = over_seeds["below Best Single"].T
-assert [stages[k] for k in np.flatnonzero(lead > half)] == ["kernel", "calibrated", "on-policy"]
+assert [stages[k] for k in np.flatnonzero(lead > half)] == ["kernel", "calibrated"]
 alone = trainings["below Best Single"] > trainings["half of its interval, Best Single"]
-assert alone.sum(axis=0).tolist() == [2, 5, 5, 5, 3]
-for name in ("total", "total of Best Single"):  # in every training, from stage to stage
-    assert (np.diff(trainings[name][:, 1:4]) < 0).all()
+assert alone.sum(axis=0).tolist() == [2, 5, 4, 3, 4]
+for name in ("total", "total of Best Single"):  # calibrated, in every training
+    assert (trainings[name][:, 2] < trainings[name][:, 1]).all()
 ratio, total = (over_seeds[name][:, 0] for name in ("flown/promised", "total"))
-assert ratio[3] < 1.1 < 1.3 < ratio[2] < ratio[1] < ratio[0] and ratio[4] > 2
-assert total[3] < 0.9 * total[2] < 0.81 * total[1] and total[4] < total[3] / 7
+assert ratio[3] < 1.2 < 1.3 < ratio[2] < ratio[1] < ratio[0] and ratio[4] > 1.9
+assert total[3] < 0.95 * total[2] and total[2] < 0.9 * total[1] and total[4] < total[3] / 7
 figure, panels = plt.subplots(1, 3, figsize=(14, 4.8))
 curves = {"promised": (0, "promised", "#777777", "v"), "flown": (0, "flown", ORANGE, "o")}
 curves |= {
@@ -405,22 +405,24 @@ plt.show()
 
 # %% [markdown]
 # - The **kernel** decides the lead over Best Single, from the same 897 pictures. By its own
-#   flights the lead is decided in 2 of 5 trainings with bins, in all 5 with the kernel and what
-#   follows, in 3 with the filter.
+#   flights the lead is decided in 2 of 5 trainings with bins, in all 5 with the kernel, then in 4,
+#   3 and 4.
 # - **Calibration** makes flights cheaper, but for both: it adds nothing to the lead.
-# - **Labelled landings** keep the promise (1.06 is undecided from 1) and lower the total further.
+# - **Labelled landings** bring what is paid close to the promise (1.11 is undecided from 1) and
+#   lower the mean total further. But forty landings show forty scenes: by whose luck, the lead
+#   differs so much between trainings that five leave it undecided.
 # - The **filter** lowers regret and total sevenfold (prices follow its own $\Psi$). But its
-#   promise is about half of what is paid, and its leads are undecided; Greedy is hardly worse.
+#   promise is about half of what is paid, and its leads are undecided.
 #
 # Compare totals, not regrets alone: a policy may accept more regret for a lower price.
 #
 # **In one paragraph.** A promise is broken in three ways: the optimum picks what was measured too
 # well; errors lead the drone away from where they were measured; one landing shows one scene.
 # Pooling by distance lessens the first, from the same pictures; calibration and labelled landings
-# mend the second: then the flight keeps the promise of a controller without memory, and choosing
-# pays, by 14 ± 9% of the total of the best single model. The third matters once a filter adds
-# errors up. Then means and variances do not suffice, and the lead of a schedule chosen by them is
-# undecided.
+# mend the second: then the flight comes close to the promise of a controller without memory.
+# Choosing pays, by 11 ± 4% of the total of the best single model with the kernel alone; what labels
+# add to that is undecided. The third matters once a filter adds errors up. Then means and variances
+# do not suffice, and the lead of a schedule chosen by them is undecided.
 #
 # ## Recall
 #

@@ -240,10 +240,10 @@ def test_what_experiment_2_came_to_is_in_its_results():
         mean, half = over_seeds(stage, "below Best Single", 100)
         assert f"{mean:.1f} ± {half:.1f}%" in text
         decided.append(abs(mean) > half)
-    assert decided == [False, True, True, True, False]
+    assert decided == [False, True, True, False, False]
     for stage in ("bins", "on-policy"):
         mean, half = over_seeds(stage, "flown/promised")
         assert f"{mean:.2f} ± {half:.2f}" in text
     first, last, filtered = (over_seeds(k, "total")[0] for k in ("bins", "on-policy", "filter"))
-    assert f"{100 * (1 - last / first):.0f}% lower than at first" in text
-    assert round(last / filtered) == 7 and "sevenfold" in text
+    assert f"{100 * (1 - last / first):.0f}% below that of bins" in text
+    assert 7 < last / filtered < 8 and "seven times lower" in text
