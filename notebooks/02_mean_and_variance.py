@@ -44,7 +44,9 @@ look = {"facecolor": "white", "edgecolor": RED, "hatch": "//"}
 axes.barh(names, meet, left=1.5, label="where errors meet", **look)
 for y, x in enumerate(meet):
     axes.text(1.55 + max(x, 0), y, f"{1.5 + x:.1f}", va="center")
-axes.set(xlim=(0, 3.4), xlabel="cost (left of 1.5: taken off)", title="Equal on the model card")
+axes.set(
+    xlim=(0, 3.4), xlabel="cost (hatched below 1.5: taken off)", title="Equal on the model card"
+)
 axes.legend(loc="center right")
 plt.show()
 
