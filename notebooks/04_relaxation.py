@@ -24,21 +24,17 @@ import numpy as np
 import landing
 import modelselect as ms
 from modelselect_parts import trellis
-from perception import textbook_suite
 
-# %% tags=["hide-input"]
 plt.rcParams.update(landing.STYLE)
-BLUE, RED, GREEN, AMBER = (
-    landing.LOOK[name]["color"] for name in ("Best Single", "Optimal", "Greedy", "All Large")
-)
+BLUE, RED = landing.LOOK["Best Single"]["color"], landing.LOOK["Optimal"]["color"]
 
 # %% [markdown]
 # ## Two steps, two models, a square
 #
-# The cart of notebook 3 without the model that was ruled out: b0 is free and errs by $1$, b1 costs
-# 0.2 and errs by $-0.5$. A schedule is a table $b$ of zeros and ones with one 1 in each row
-# (`eq:perEncoding`). The **relaxation** drops the integers: $b_{tw} \ge 0$, $\sum_w b_{tw} = 1$.
-# **Predict** where it is cheapest.
+# The two steps of notebook 0: b0 is free and errs by $1$, b1 costs 0.2 and errs by $-0.5$. A
+# schedule is a table $b$ of zeros and ones with one 1 in each row (`eq:perEncoding`). The
+# **relaxation** drops the integers: $b_{tw} \ge 0$, $\sum_w b_{tw} = 1$. **Predict** where it is
+# cheapest.
 
 # %%
 one, mean = np.eye(1), np.tile([[1.0], [-0.5]], (2, 1, 1))
@@ -52,26 +48,20 @@ np.testing.assert_allclose(relaxed.reference, [2 / 45, 4 / 45], atol=1e-6)
 # %% [markdown]
 # By hand: weight moved from b0 to b1 changes the error $d_t$ by $-1.5$ and costs 0.2, so inside
 # the square $2 (\Psi d)_t \cdot 1.5 = 0.2$ at both steps. With $\Psi = (0.9, 0.3;\ 0.3, 0.6)$ that
-# gives $d = (\frac{2}{45}, \frac{4}{45})$: the star of notebook 3, and its 0.258.
+# gives $d = (\frac{2}{45}, \frac{4}{45})$: the reference point of notebook 0, and its bound.
 
 # %% alt="Contours of the relaxed cost over the square of weights: a valley whose lowest point, 0.258, lies inside at (0.64, 0.61). The four corners are the schedules and cost 2.100, 0.950, 0.725 and 0.925, all more." tags=["hide-input"]
-side, corners = np.linspace(0, 1, 101), np.array(list(product((0, 1), repeat=2)))
-square = np.stack(np.meshgrid(side, side), axis=-1)  # [..., t] is the weight of b1 at step t
-surface = ms.BlendProblem(toy).total_cost(square)
+side, corners, blend = np.linspace(0, 1, 101), [*product((0, 1), repeat=2)], ms.BlendProblem(toy)
+cost = blend.total_cost(np.stack(np.meshgrid(side, side), axis=-1))  # at weights of b1
 figure, axes = plt.subplots(figsize=(7.5, 5.8))
-levels = np.geomspace(0.25, 2.2, 13)
-shades = axes.contourf(side, side, surface, levels, cmap="cividis")
-axes.contour(side, side, surface, levels, colors="white", linewidths=0.4)
-axes.plot(*corners.T, "s", color="black", clip_on=False, zorder=3)
-for c in corners:
-    where = {"ha": "right" if c[0] else "left", "va": "top" if c[1] else "bottom"}
-    where |= {"xytext": (12 - 24 * c[0], 12 - 24 * c[1]), "textcoords": "offset points"}
-    box = {"facecolor": "white", "edgecolor": "none", "alpha": 0.85, "pad": 2}
-    axes.annotate(f"{toy.total_cost(c):.3f}", c, bbox=box, **where)
-axes.plot(*relaxed.weights[:, 1], "o", color=RED, markeredgecolor="white")
-axes.annotate("0.258", relaxed.weights[:, 1], (12, 8), textcoords="offset points", color="white")
+shades = axes.contourf(side, side, cost, np.geomspace(0.25, 2.2, 13), cmap="cividis")
+for x, y in [*corners, relaxed.weights[:, 1]]:
+    axes.plot(x, y, "o", color=RED, markeredgecolor="white", clip_on=False, zorder=3)
+    look = {"textcoords": "offset points", "ha": "center", "bbox": {"facecolor": "white", "pad": 2}}
+    shift = 40 * (x == 0) - 40 * (x == 1), 16 - 40 * (y == 1)
+    axes.annotate(f"{blend.total_cost(np.array([x, y])):.3f}", (x, y), shift, **look)
 axes.set(xlabel="weight of b1 at step 0", ylabel="and at step 1", aspect="equal")
-axes.set(xticks=[0, 0.5, 1], yticks=[0, 0.5, 1], title="Relaxed, lower than every corner")
+axes.set_title("Relaxed, lower than every corner")
 figure.colorbar(shades, label="cost", ticks=[0.25, 0.5, 1, 2], format="%.2f")
 plt.show()
 
@@ -144,31 +134,15 @@ kappas = [1, 10, 100, 1000]
 rounds = {"plain gradient": [gradient(stiff(k), 1e-6)[3] for k in kappas]}
 rounds["with momentum"] = [ms.relax(stiff(k), gap=1e-6).iterations for k in kappas]
 rounds["Newton"] = [ms.relax_interior_point(stiff(k), gap=1e-6).iterations for k in kappas]
-published = landing.run_experiment(landing.Settings(trials=1)).problem
-optimum = ms.relax_interior_point(published, gap=0).value
-for name, point in {
-    "momentum, 100 rounds": ms.relax(published, gap=0, max_iterations=100),
-    "Newton, 10 rounds": ms.relax_interior_point(published, gap=0, max_iterations=10),
-}.items():
-    gap, error = (point.value - point.bound) / optimum, point.value / optimum - 1
-    print(f"published landing, {name}: gap {gap:.0e}, true error {error:.0e}")
-    assert gap >= error - 1e-12
 
 # %% alt="Rounds to a gap of one millionth against the condition number from 1 to 1000, both logarithmic. Plain gradient rises from 1 to some 4,400, with momentum from 1 to about 200, Newton stays between 4 and 5." tags=["hide-input"]
-figure, axes = plt.subplots(figsize=(9, 5.2))
-looks = {"plain gradient": "o-", "with momentum": "s--", "Newton": "^:"}
-for (name, look), colour in zip(looks.items(), (BLUE, RED, "black"), strict=True):
-    axes.loglog(kappas, rounds[name], look, color=colour, lw=2.5)
-    axes.annotate(
-        name,
-        (kappas[-1], rounds[name][-1]),
-        (-14, 8),
-        textcoords="offset points",
-        ha="right",
-        color=colour,
-    )
+figure, axes = plt.subplots(figsize=(9, 4.8))
+looks = (BLUE, "o-"), (RED, "s--"), ("black", "^:")
+for (name, counts), (colour, look) in zip(rounds.items(), looks, strict=True):
+    axes.loglog(kappas, counts, look, color=colour, lw=2.5, label=name)
 axes.set(xlabel="condition number $\\kappa$ of $\\Psi$", ylabel="rounds to a gap of $10^{-6}$")
-axes.set(ylim=(0.8, 2e4), title="Stiffness costs gradients, not Newton")
+axes.set_title("Stiffness costs gradients, not Newton")
+axes.legend()
 plt.show()
 
 # %% [markdown]
@@ -176,18 +150,17 @@ plt.show()
 #
 # ## From weights to a schedule
 #
-# The published relaxation is (nearly) a schedule already. Give each model a sign of its own
-# (textbook aircraft, `preview`) and weights divide:
+# The cart of notebook 0, 40 steps and three models:
 
 # %%
-aircraft = landing.preset("textbook")
-suite = textbook_suite(aircraft.path[:-1], np.random.default_rng(0), signs="model")
-Psi = ms.psi(aircraft.task, "preview")
-price = suite.cost * landing.cost_scale(Psi, suite)
-mixed = ms.SelectionProblem(Psi, suite.mean, suite.variance, price, alpha=0.8, beta=0.2)
+size = np.array([[0.5], [0.2], [0.05]])
+mean = np.random.default_rng(0).choice([-1, 1], (40, 3))[:, :, None] * size
+A, B, C = [[1, 0.1], [0, 1]], [[0], [0.1]], [[0.1], [0]]
+Psi = ms.psi(ms.ControlTask(A, B, C, np.eye(2), [[0.1]], 40), "preview")
+mixed = ms.SelectionProblem(Psi, mean, (0.2 * size) ** 2 + 0 * mean, [0, 0.002, 0.004])
 root = ms.relax_interior_point(mixed, gap=0)
 b = root.weights
-print("steps with divided weights:", (b.max(axis=1) < 0.999).sum(), "of 150")
+print("steps with divided weights:", (b.max(axis=1) < 0.999).sum(), "of 40")
 print("models that share one step: at most", (b > 1e-3).sum(axis=1).max())
 
 # %% [markdown]
@@ -211,46 +184,21 @@ def expected_draw(problem, b):
     return evaluate(problem, b)[0] + problem.quadratic.diagonal() @ V
 
 
-chance = np.array([relaxed.weights[[0, 1], c].prod() for c in corners])
+chance = [relaxed.weights[[0, 1], c].prod() for c in corners]
 np.testing.assert_allclose(expected_draw(toy, relaxed.weights), chance @ toy.total_cost(corners))
-uniform = np.random.default_rng(1).random((2000, 150, 1))
-draws = mixed.total_cost((uniform > b.cumsum(axis=1)).sum(axis=2).clip(max=7))
 results = {
     "draw, on average": expected_draw(mixed, b),
     "rounded": mixed.total_cost(b.argmax(axis=1)),
-    "best of 2000 draws": draws.min(),
     "rounded and swapped": ms.round_and_swap(mixed, root).cost,
     "optimum": ms.solve(mixed).cost,
 }
-above = {name: 100 * (cost / root.bound - 1) for name, cost in results.items()}
-for name, percent in above.items():
-    print(f"{name:20} {percent:.1f}% above the bound")
-
-# %% alt="Left, the toy's cost along the edge on which step 0 runs b1: the relaxed cost is a curve that sags below the straight line of the average draw; both end at the schedules, 0.725 and 0.925. Right, a histogram of 2000 draws from 1.8 to about 30 per cent above the bound, with lines for the rounded schedule at 4.2, the best draw at 1.8, swapped at 1.2 and the optimum at 0.9." tags=["hide-input"]
-figure, (left, right) = plt.subplots(1, 2, figsize=(12.5, 5.4))
-edge = [np.array([[0, 1], [1 - c, c]]) for c in side]
-left.plot(side, [evaluate(toy, b)[0] for b in edge], color=BLUE, lw=3, label="relaxed")
-left.plot(
-    side, [expected_draw(toy, b) for b in edge], "--", color=RED, lw=3, label="drawn, on average"
-)
-left.plot([0, 1], toy.total_cost([[1, 0], [1, 1]]), "s", color="black", label="schedules")
-left.set(xlabel="weight (chance) of b1 at step 1", ylabel="cost, with b1 at step 0")
-left.set_title("A blend sags, a lottery does not")
-left.legend()
-right.hist(100 * (draws / root.bound - 1), bins=40, color="#bbbbbb", label="2000 draws")
-looks = dict(
-    zip(list(above)[1:], ((AMBER, "-."), (BLUE, "--"), (GREEN, ":"), (RED, "-")), strict=True)
-)
-for name, (colour, style) in looks.items():
-    right.axvline(above[name], color=colour, ls=style, lw=3, label=f"{name}: {above[name]:.1f}%")
-right.set(xlabel="cost above the bound (%)", ylabel="draws", title="Swapping beats every draw here")
-right.legend(fontsize=13)
-plt.show()
+for name, cost in results.items():
+    print(f"{name:20} {100 * (cost / root.bound - 1):.1f}% above the bound")
 
 # %% [markdown]
-# An average is never below the least of its numbers, so no lottery has a lower *expected* cost
-# than the best schedule; and one row at a time moves to its best corner without raising the
-# expectation (exercise 1). That is all. The best of many draws may well beat rounding, as here.
+# Chance does not know which errors are to cancel. An average is never below the least of its
+# numbers, so no lottery has a lower *expected* cost than the best schedule; and one row at a time
+# moves to its best corner without raising the expectation (exercise 1).
 #
 # ## Switching costs: whole schedules as columns
 #
@@ -291,9 +239,9 @@ np.testing.assert_allclose(bound, ms.relax_by_columns(switching).bound, rtol=1e-
 # semidefinite form and all errata: [paper.md](paper.md).)
 
 # %%
-for name, problem in {"toy": toy, "published": published, "mixed": mixed}.items():
+for name, problem in {"toy": toy, "cart": mixed}.items():
     blend = ms.solve_blend(ms.BlendProblem(problem))
-    print(f"{name:9} best blend / best schedule: {blend.cost / ms.solve(problem).cost:.3f}")
+    print(f"{name:4} best blend / best schedule: {blend.cost / ms.solve(problem).cost:.3f}")
     assert blend.lower_bound > blend.cost * (1 - 1e-5)
 
 # %% [markdown]
@@ -339,28 +287,7 @@ assert ours == max(cuts)
 # %% [markdown]
 # *Weakly*: the search's labels carry one number here, the signed sum so far, and equal sums merge.
 # Few sums, few labels; larger integers, more (pseudo-polynomial).
-
-# %% alt="Counts against steps decided, on a log axis, for 40 integers below 30 and for 40 below 1000. The partial schedules pass a million at step 20; the distinct signed sums level off near 600 and near 20,000, and the labels kept stay at or below them." tags=["hide-input"]
-figure, axes = plt.subplots(figsize=(10, 5.4))
-decided = np.arange(1, 41)
-axes.semilogy(decided, 2.0**decided, "k:", lw=2.5, label="partial schedules, $2^k$")
-for top, colour in ((30, BLUE), (1000, RED)):
-    a = np.random.default_rng(1).integers(1, top, 40)
-    a[0] += 1 - a.sum() % 2  # an odd sum, so that no split ends the search early
-    sums, distinct = {0}, []
-    for value in a[::-1].tolist():  # the last step is decided first
-        sums = {x + sign * value for x in sums for sign in (1, -1)}
-        distinct.append(len(sums))
-    labels = ms.dynamic_program(ms.partition_problem(a.tolist())).work["labels"][::-1]
-    axes.semilogy(decided, distinct, color=colour, lw=3, label=f"distinct sums, integers < {top}")
-    axes.semilogy(decided, labels, "o", color=colour, ms=5, label="labels kept")
-    assert (labels <= distinct).all()
-axes.set(xlabel="steps decided, k", ylabel="count", ylim=(0.8, 1e6))
-axes.set_title("Labels are at most as many as distinct sums")
-axes.legend(fontsize=12, loc="lower right")
-plt.show()
-
-# %% [markdown]
+#
 # What this does not say: anything about typical instances (the published one is closed by its
 # relaxation), or about `causal` and `measurement`, where steps decouple.
 #
@@ -412,58 +339,15 @@ for seed in range(20):
     test = ms.SelectionProblem(factor.T @ factor, means, rng.random((6, 3, 1)), [0, 0.5, 1])
     chances = rng.dirichlet(np.ones(3), size=6)
     kept = chances.copy()
-    found = derandomise(test, chances)
-    assert found is not None, "Exercise 1: return the choices, one model a step"
-    found = np.asarray(found)
-    assert found.shape == (6,), "Exercise 1: return one model for each of the H steps"
+    found, drawn = derandomise(test, chances), expected_draw(test, kept)
+    assert np.shape(found) == (6,), "Exercise 1: return one model for each of the H steps"
     assert np.array_equal(chances, kept), "Exercise 1: you changed the caller's weights; copy them"
-    for t in range(6):  # earlier rows at their corners, later ones still at b
-        rows = np.concatenate([np.eye(3)[found[:t]], kept[t:]])
-        options = []
-        for corner in np.eye(3):
-            rows[t] = corner
-            options.append(expected_draw(test, rows))
-        assert np.isclose(options[found[t]], min(options)), (
-            f"Exercise 1: at step {t} another model has the lower expectation, given those before"
-        )
-    assert test.total_cost(found) <= expected_draw(test, kept) + 1e-9, (
-        "Exercise 1: dearer than a draw"
-    )
+    cost = test.total_cost(found)
+    assert cost <= drawn + 1e-9, f"Exercise 1: {cost:.3f} is dearer than a draw, {drawn:.3f}"
 print("Exercise 1: right")
 
 # %% [markdown]
-# ### Exercise 2: climb without a solver
-#
-# Maximise $LB$: write `climb(problem, steps)`. Start at the mean error $d$ of model 0 throughout.
-# In round $k = 0, 1, \dots$ take the schedule $c$ of reduced costs 0 at $d$ and move: $d
-# \leftarrow d + \frac{2}{k + 2} (\mu_c - d)$ (Frank and Wolfe). The bound does not rise in every
-# round: return the $d$ of the highest seen. You may call `ms.reference_bound`.
-
-
-# %% tags=["exercise"]
-def climb(problem, steps):
-    """Return the reference point (pH,) of the highest bound seen in so many rounds."""
-    ...
-
-
-# %% tags=["check", "skip-execution"]
-for test in (toy, stiff(10, 6), stiff(30, 12)):
-    top = ms.relax_interior_point(test).value
-    start = test.chosen_mean(np.zeros(len(test.mean)))
-    one_round, found = climb(test, 1), climb(test, 500)
-    assert found is not None, "Exercise 2: return the point d, shape (pH,)"
-    assert np.shape(found) == start.shape, f"Exercise 2: return d with shape {start.shape}"
-    lowest, r = ms.reference_bound(test, start)
-    after = ms.reference_bound(test, test.chosen_mean(r.argmin(axis=1)))[0]
-    assert np.isclose(ms.reference_bound(test, one_round)[0], max(lowest, after)), (
-        "Exercise 2: round 0 moves all the way (2 / 2 = 1); the best is then that point or the start"
-    )
-    missing = (top - ms.reference_bound(test, found)[0]) / (top - lowest)
-    assert missing < 0.01, f"Exercise 2: {missing:.0%} of the climb are missing after 500 rounds"
-print("Exercise 2: right")
-
-# %% [markdown]
-# ### Exercise 3: a reduction of your own
+# ### Exercise 2: a reduction of your own
 #
 # SUBSET SUM: do some of the positive integers add up to `target`? Write `subset_problem(integers,
 # target)`: a `SelectionProblem` with a `psi` of your choice, two models and free of prices, whose
@@ -482,19 +366,19 @@ for _ in range(40):
     integers = rng.integers(1, 30, rng.integers(2, 7)).tolist()
     target = int(rng.integers(1, sum(integers) + 1))
     test = subset_problem(integers, target)
-    assert isinstance(test, ms.SelectionProblem), "Exercise 3: return a SelectionProblem"
+    assert isinstance(test, ms.SelectionProblem), "Exercise 2: return a SelectionProblem"
     reachable = {0}
     for value in integers:
         reachable |= {x + value for x in reachable}
     least = ms.enumerate_schedules(test).cost
     assert (abs(least) < 1e-9) == (target in reachable), (
-        f"Exercise 3: {integers}, target {target}: optimum {least:.3f}, and a subset "
+        f"Exercise 2: {integers}, target {target}: optimum {least:.3f}, and a subset "
         + ("does it" if target in reachable else "does not exist")
     )
-print("Exercise 3: right")
+print("Exercise 2: right")
 
 # %% [markdown]
-# ### Exercise 4 (open): when luck beats rounding
+# ### Exercise 3 (open): when luck beats rounding
 #
 # Predict: can rounding the relaxation cost three times as much as an *average* draw with the same
 # weights? Build `lucky()`, a problem with $p = 1$ where it does, and say in a sentence why. Why
@@ -509,11 +393,11 @@ def lucky():
 
 # %% tags=["check", "skip-execution"]
 answer = lucky()
-assert answer is not None and len(answer) == 2, "Exercise 4: return a problem and a sentence"
+assert answer is not None and len(answer) == 2, "Exercise 3: return a problem and a sentence"
 test, why = answer
-assert isinstance(test, ms.SelectionProblem), "Exercise 4: return a SelectionProblem first"
+assert isinstance(test, ms.SelectionProblem), "Exercise 3: return a SelectionProblem first"
 shares = ms.relax_interior_point(test, gap=1e-9).weights
 ratio = test.total_cost(shares.argmax(axis=1)) / expected_draw(test, shares)
-assert ratio > 3, f"Exercise 4: rounding costs only {ratio:.2f} times the average draw"
-assert len(why.split()) >= 8, "Exercise 4: explain it in a sentence"
-print("Exercise 4: right")
+assert ratio > 3, f"Exercise 3: rounding costs only {ratio:.2f} times the average draw"
+assert len(why.split()) >= 8, "Exercise 3: explain it in a sentence"
+print("Exercise 3: right")

@@ -6,20 +6,13 @@
 # steps meet: $\Psi$ has three diagonals. Feedback that is late couples steps without any forecast.
 
 # %%
-late = (lambda z, before, now, gain: before, 1, 0)
-
-
-def meets(t, k):
-    """Return whether errors of steps t and k meet."""
-    return abs(t - k) <= 1
-
+late, furthest = (lambda z, before, now, gain: before, 1, 0), 1
 
 # %% [markdown]
 # ## Exercise 2
 #
-# Labels of a step come in order of their extra, so once `width` are kept every further one is
-# dropped for lack of width (or would have been dominated, which makes the proof no stronger than
-# it could be, never wrong). What such a label has paid, each of its completions pays.
+# What a label has paid, each of its completions pays. Some that came too late may be dominated
+# besides; to count them, too, may weaken what is proved, but never makes it wrong.
 
 
 # %%
@@ -28,9 +21,9 @@ def narrow(A, B, C, Q, R, mean, d, reduced, room, width):
     alive, log = search(A, B, C, Q, R, mean, d, reduced, room, width)
     least, count = np.inf, np.zeros(len(mean))
     for t, (extra, _, _), kept in log:
-        count[t] += kept
-        if not kept and count[t] == width and extra <= room:
+        if count[t] == width and extra <= room:
             least = min(least, extra)
+        count[t] += kept
     return alive, least
 
 
@@ -41,8 +34,7 @@ def narrow(A, B, C, Q, R, mean, d, reduced, room, width):
 # the cost of a schedule is room, and very many partial schedules cost about the same and differ in
 # their costates. Prices settle most steps, and so make the search easy. Large errors alone do not
 # matter: with prices and variances a hundred times as large, too, errors ten times as large change
-# nothing. At the same prices the cart's search is hardest in between (three times as large: up to
-# 66 labels a step): ten times as large, the accurate model wins nearly everywhere.
+# nothing.
 
 
 # %%

@@ -1,17 +1,6 @@
 # %% [markdown]
 # ## Exercise 1
 #
-# Two opposite errors of nearly equal size. Step by step the smaller one always wins, and its errors
-# add up; run in turn, the two nearly cancel.
-
-# %%
-fooling_means = np.tile([[1.0], [-1.1]], (6, 1, 1))
-fooling_prices = [0, 0]
-
-
-# %% [markdown]
-# ## Exercise 2
-#
 # Within a run only $n$ varies: its variance, with $H - 1$ freedoms, is $\sigma^2$ on average. The
 # mean of a run varies by $\tau^2 + \sigma^2 / H$ from run to run. The difference may come out
 # negative in one sample; cut off at 0 it would be too large on average.
@@ -27,7 +16,7 @@ def split(residuals):
 
 
 # %% [markdown]
-# ## Exercise 3
+# ## Exercise 2
 #
 # One more step costs model $w$ another $\tau_w^2 (2n_w + 1)$, which rises with $n_w$: a sum of
 # convex functions of single counts. Exchanging a step between two models then never helps once the
@@ -46,7 +35,7 @@ def portfolio_counts(tau_squared, H):
 
 
 # %% [markdown]
-# ## Exercise 4
+# ## Exercise 3
 #
 # Thrust ten thousand times as dear as position: the robot spreads its answer to a push over many
 # steps beforehand, so that errors far apart meet in the same commands. With $a$ the closed loop,

@@ -23,30 +23,6 @@ def derandomise(problem, b):
 # %% [markdown]
 # ## Exercise 2
 #
-# $LB(d) = \sum_t \min_w G_{tw}(d) - d^\top M d$. Where schedule $c$ alone attains the minima, the
-# slope is $2M(\mu_c - d)$, so towards $\mu_c$ the bound rises at first (by twice the squared
-# length of $\mu_c - d$ under $M$). Step lengths $2/(k+2)$ make $d$ an average of means of
-# schedules, hence the blended error of some weights, and the bound converges to the top at a rate
-# of $1/k$.
-
-
-# %%
-def climb(problem, steps):
-    """Return the reference point (pH,) of the highest bound seen in so many rounds."""
-    d = problem.chosen_mean(np.zeros(len(problem.mean)))
-    bound, reduced = ms.reference_bound(problem, d)
-    best, highest = d, bound
-    for k in range(steps):
-        d = d + 2 / (k + 2) * (problem.chosen_mean(reduced.argmin(axis=1)) - d)
-        bound, reduced = ms.reference_bound(problem, d)
-        if bound > highest:
-            best, highest = d, bound
-    return best
-
-
-# %% [markdown]
-# ## Exercise 3
-#
 # Let model 0 err by 0 and model 1 by $a_t$, and let both err by minus the target at one more step.
 # Under $\Psi = \mathbf{1}\mathbf{1}^\top$ a schedule costs (chosen sum - target)$^2$: 0 exactly if
 # the chosen integers add up to it. The problem is written down in time proportional to the
@@ -62,7 +38,7 @@ def subset_problem(integers, target):
 
 
 # %% [markdown]
-# ## Exercise 4
+# ## Exercise 3
 #
 # Let $\Psi = \mathbf{1}\mathbf{1}^\top$, and let every step have the same two models, $+1$ and
 # $-1.5$. The relaxation blends them 3 : 2, so that nothing is left. Rounding takes $+1$
