@@ -27,18 +27,12 @@ def best_pair(problem):
     found = []
     for v in range(W):
         for w in range(v + 1, W):
-            price = np.array(np.broadcast_to(problem.model_cost, (H, W)))
-            price[:, [k for k in range(W) if k not in (v, w)]] = np.inf
-            found.append((solve_within(problem, price), (v, w)))
+            price = np.full((H, W), np.inf)
+            price[:, [v, w]] = np.broadcast_to(problem.model_cost, (H, W))[:, [v, w]]
+            if np.isfinite(price).any(axis=1).all():  # else a step has no model
+                found.append((ms.solve(replace(problem, model_cost=price)).cost, (v, w)))
     cost, pair = min(found)
     return pair, cost
-
-
-def solve_within(problem, price):
-    """Return the optimal cost at other prices; infinite if a step has no model."""
-    if not np.isfinite(price).any(axis=1).all():
-        return np.inf
-    return ms.solve(replace(problem, model_cost=price)).cost
 
 
 # %% [markdown]
