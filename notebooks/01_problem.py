@@ -220,8 +220,9 @@ for information in TABLE:
 #
 # $e^\top \Psi e = \sum_{t,k} e_t \Psi_{tk} e_k$. $\Psi_{tt}$ is what an error of 1 at step $t$
 # costs alone; $2\Psi_{tk} e_t e_k$ what two cost *together*, beyond that. Red: errors of one sign
-# make each other dearer, opposite ones cancel. Blue: the other way round. The rows say why; below,
-# what each step pays, $|\mathrm{row}_t|^2$, if the estimate of step 20 is wrong by 1:
+# make each other dearer, opposite ones cancel. Blue: the other way round. The rows say why: the
+# lower panels show what each step pays, $|\mathrm{row}_t|^2$, if the estimate of step 20 is wrong
+# by 1.
 
 # %% alt="Three columns. Causal: the matrix Psi is a diagonal, and of an error at step 20 step 20 alone pays, 0.025. Preview: a narrow red band; steps up to 20 pay, most from step 13 on, and none after, 0.139 in all. Open loop: a wide red diagonal stripe with a blue, negative one some 15 steps off it; the same steps pay as under preview, and then again until the end, 0.388 in all." tags=["hide-input"]
 figure, panels = plt.subplots(2, 3, sharex=True, sharey="row", figsize=(13, 7.4))
@@ -304,8 +305,8 @@ for name in ("open_loop", "preview", "causal"):
     assert best.is_optimal
 
 # %% [markdown]
-# (Last number: the best single model.) Open loop buys better estimates at seven steps only, and more than
-# halves the cost of the best single model.
+# (Last number: the best single model.) Open loop buys better estimates at seven steps only, and
+# more than halves the cost.
 #
 # **In one paragraph.** Completing the square turns regret into a sum over steps of what wrong
 # beliefs do to each command: beliefs about the state (memory), this input (now), later ones

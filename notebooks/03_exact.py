@@ -313,8 +313,8 @@ print(f"b1 flipped: cost {answer.cost:.3e}, root gap {gap:.1%}, at most {most} l
 assert answer.is_optimal and answer.proof == "search"
 
 # %% [markdown]
-# Of $8^{150}$ schedules one is left: ours. With mixed signs errors cancel, at an eighth of the cost. A
-# blend of models cancels even better, so the bound is low, and a search must close the gap. Not
+# Of $8^{150}$ schedules one is left: ours. With mixed signs errors cancel, at an eighth of the cost.
+# A blend of models cancels even better, so the bound is low, and a search must close the gap. Not
 # every gap closes in time: the problem is NP-hard (`remark:np_status`, notebook 4).
 #
 # **In one paragraph.** Any $d$ splits every cost into a bound, reduced costs and a square. Reduced
