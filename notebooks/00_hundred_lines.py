@@ -119,20 +119,20 @@ def search(A, B, C, Q, R, mean, d, reduced, room, width):
     alive = [(0.0, np.zeros(len(A)), ())]
     for t in reversed(range(len(mean))):
         (P, S, closed), grown = steps[t], []
-        for extra, g, later in alive:
+        for extra, q, later in alive:
             for w, error in enumerate(mean[t]):
-                h = P @ C[:, 0] * (error - d[t]) + g
+                h = P @ C[:, 0] * (error - d[t]) + q
                 paid = B.T @ h @ solve(S, B.T @ h)
                 grown.append((extra + reduced[t, w] + paid, closed.T @ h, (w, *later)))
         alive = []
-        for x, g, models in sorted(grown, key=lambda label: label[0]):
+        for x, q, models in sorted(grown, key=lambda label: label[0]):
             fits = x <= room and len(alive) < width
             for y, other, _ in alive if fits else ():
-                far = max(0, (g - other) @ felt[t] @ (g - other))  # rho squared
+                far = max(0, (q - other) @ felt[t] @ (q - other))  # rho squared
                 fits = fits and y + 2 * np.sqrt((room - x) * far) + far > x
-            log.append((t, (x, g, models), fits))
+            log.append((t, (x, q, models), fits))
             if fits:
-                alive.append((x, g, models))
+                alive.append((x, q, models))
     return alive, log
 
 
@@ -207,7 +207,7 @@ assert answer.is_optimal and (answer.choices == best).all()
 # ## A picture of the labels
 #
 # A **label** is a partial schedule, from some step to the last: what it costs above the bound
-# ($x$), and its costate $g$, the sum of later errors as earlier steps feel it (`h` and `g` in
+# ($x$), and its costate $q$, the sum of later errors as earlier steps feel it (`h` and `q` in
 # `search`). Left: 1 is the end of the room; the optimum ends there, for the narrow search had found
 # it. Right: a disc of radius $\sqrt{\text{room} - x}$ shows what earlier steps may still add before
 # the label leaves the room; distances in this plane are $\rho$ (end of the sheet). If a disc
@@ -242,8 +242,8 @@ at, felt = 15, 0 * A
 for _, S, closed in riccati(A, B, Q, R, H)[:at]:
     felt = B @ solve(S, B.T) + closed @ felt @ closed.T
 values, vectors = np.linalg.eigh(felt)
-root = np.sqrt(values.clip(0))[:, None] * vectors.T  # distances of root g are rho
-for t, (x, g, models), kept in log:
+root = np.sqrt(values.clip(0))[:, None] * vectors.T  # distances of root q are rho
+for t, (x, q, models), kept in log:
     if t == at and x < room:
         edge = (
             {"edgecolor": BLUE, "lw": 2} if kept else {"edgecolor": "#777777", "ls": "--", "lw": 2}
@@ -251,7 +251,7 @@ for t, (x, g, models), kept in log:
         if (x, models) == (ours[at][0], ours[at][2]):
             edge = {"edgecolor": ORANGE, "lw": 5}
         disc = plt.Circle(
-            -root @ g, np.sqrt(room - x), facecolor="none" if kept else "#dddddd", **edge
+            -root @ q, np.sqrt(room - x), facecolor="none" if kept else "#dddddd", **edge
         )
         right.add_patch(disc).set_zorder(2 + kept)
 right.autoscale_view()
@@ -333,7 +333,7 @@ plt.show()
 # </details>
 # <details><summary>Why does a label keep a costate, and not the errors chosen so far?</summary>
 #
-# Earlier steps feel those only through $g$: $n$ numbers, whatever $H$.
+# Earlier steps feel those only through $q$: $n$ numbers, whatever $H$.
 #
 # </details>
 # <details><summary>For which patterns is the search superfluous, and why?</summary>

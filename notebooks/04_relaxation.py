@@ -52,7 +52,7 @@ np.testing.assert_allclose(relaxed.reference, [2 / 45, 4 / 45], atol=1e-6)
 # %% [markdown]
 # By hand: weight moved from b0 to b1 changes the error $d_t$ by $-1.5$ and costs 0.2, so inside
 # the square $2 (\Psi d)_t \cdot 1.5 = 0.2$ at both steps. With $\Psi = (0.9, 0.3;\ 0.3, 0.6)$ that
-# gives $d = (\frac{2}{45}, \frac{4}{45})$: the star of notebook 3, and its 0.258.
+# gives $d = (\frac{2}{45}, \frac{4}{45})$: the point $d$ of notebook 3, and its 0.258.
 
 # %% alt="Contours of the relaxed cost over the square of weights: a valley whose lowest point, 0.258, lies inside at (0.64, 0.61). The four corners are the schedules and cost 2.100, 0.950, 0.725 and 0.925, all more." tags=["hide-input"]
 side, corners = np.linspace(0, 1, 101), np.array(list(product((0, 1), repeat=2)))
@@ -122,11 +122,11 @@ for most in (0, 1, 2, 10):
 #
 # ## Conditioning
 #
-# A gradient step is as long as the steepest direction allows. Along a direction of curvature
-# $\lambda$ it covers a share $\lambda / L$ of the way, so rounds grow with $\kappa$, the largest
-# eigenvalue of $\Psi$ over the smallest. Nesterov's momentum (`relax`) makes that about
-# $\sqrt\kappa$. Newton's method (`relax_interior_point`) bends each step by the curvature, for a
-# linear system of size $pH$ a round.
+# A gradient step is as long as the steepest direction allows. Along a flatter one it covers a share
+# of the way, its curvature over $L$. So rounds grow with $\kappa$, the largest eigenvalue of $\Psi$
+# over the smallest. Nesterov's momentum (`relax`) makes that about $\sqrt\kappa$. Newton's method
+# (`relax_interior_point`) bends each step by the curvature, for a linear system of size $pH$ a
+# round.
 
 
 # %%
