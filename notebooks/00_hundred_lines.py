@@ -118,20 +118,20 @@ def search(A, B, C, Q, R, mean, d, reduced, room, width):
     alive = [(0.0, np.zeros(len(A)), ())]
     for t in reversed(range(len(mean))):
         (P, S, closed), grown = steps[t], []
-        for extra, g, later in alive:
+        for extra, q, later in alive:
             for w, error in enumerate(mean[t]):
-                h = P @ C[:, 0] * (error - d[t]) + g
+                h = P @ C[:, 0] * (error - d[t]) + q
                 paid = B.T @ h @ solve(S, B.T @ h)
                 grown.append((extra + reduced[t, w] + paid, closed.T @ h, (w, *later)))
         alive = []
-        for x, g, models in sorted(grown, key=lambda label: label[0]):
+        for x, q, models in sorted(grown, key=lambda label: label[0]):
             fits = x <= room and len(alive) < width
             for y, other, _ in alive if fits else ():
-                far = max(0, (g - other) @ felt[t] @ (g - other))  # rho squared
+                far = max(0, (q - other) @ felt[t] @ (q - other))  # rho squared
                 fits = fits and y + 2 * np.sqrt((room - x) * far) + far > x
-            log.append((t, (x, g, models), fits))
+            log.append((t, (x, q, models), fits))
             if fits:
-                alive.append((x, g, models))
+                alive.append((x, q, models))
     return alive, log
 
 
@@ -192,7 +192,7 @@ assert answer.is_optimal and (answer.choices == best).all() and np.isclose(answe
 # ## A picture of the labels
 #
 # A **label** is a partial schedule, from some step to the last: what it costs above the bound
-# ($x$), and its costate $g$, the sum of later errors as earlier steps feel it (`h` and `g` in
+# ($x$), and its costate $q$, the sum of later errors as earlier steps feel it (`h` and `q` in
 # `search`). Left: the optimum ends with the room, at 1, as the narrow search had found it. Right,
 # a disc for each label of step 15: its radius $\sqrt{\text{room} - x}$ is what earlier steps may add
 # before the label leaves the room; distances are $\rho$ (end of the sheet). A disc inside another
@@ -217,11 +217,11 @@ left.legend(ncols=3, columnspacing=0.8, handletextpad=0.2)
 felt = 0 * A  # as in search
 for _, S, closed in riccati(A, B, Q, R, H)[:at]:
     felt = B @ solve(S, B.T) + closed @ felt @ closed.T
-for t, (x, g, models), kept in log:
+for t, (x, q, models), kept in log:
     if t == at and x < room:
         edge = ORANGE if models == tuple(best[t:]) else BLUE if kept else "#777777"
         look = {"edgecolor": edge, "lw": 2, "facecolor": "none" if kept else "#cccccc"}
-        disc = plt.Circle(-cholesky(felt).T @ g, np.sqrt(room - x), zorder=2 + kept, **look)
+        disc = plt.Circle(-cholesky(felt).T @ q, np.sqrt(room - x), zorder=2 + kept, **look)
         right.add_patch(disc)
 right.set(title=f"Step {at}: a disc in a disc may go", xlabel="units of $\\rho$")
 right.axis("equal")
@@ -294,7 +294,7 @@ plt.show()
 # </details>
 # <details><summary>Why does a label keep a costate, and not the errors chosen so far?</summary>
 #
-# Earlier steps feel those only through $g$: $n$ numbers, whatever $H$.
+# Earlier steps feel those only through $q$: $n$ numbers, whatever $H$.
 #
 # </details>
 # <details><summary>For which patterns is the search superfluous, and why?</summary>

@@ -112,11 +112,11 @@ for most in (0, 1, 2, 10):
 #
 # ## Conditioning
 #
-# A gradient step is as long as the steepest direction allows. Along a direction of curvature
-# $\lambda$ it covers a share $\lambda / L$ of the way, so rounds grow with $\kappa$, the largest
-# eigenvalue of $\Psi$ over the smallest. Nesterov's momentum (`relax`) makes that about
-# $\sqrt\kappa$. Newton's method (`relax_interior_point`) bends each step by the curvature, for a
-# linear system of size $pH$ a round.
+# A gradient step is as long as the steepest direction allows. Along a flatter one it covers a share
+# of the way, its curvature over $L$. So rounds grow with $\kappa$, the largest eigenvalue of $\Psi$
+# over the smallest. Nesterov's momentum (`relax`) makes that about $\sqrt\kappa$. Newton's method
+# (`relax_interior_point`) bends each step by the curvature, for a linear system of size $pH$ a
+# round.
 
 
 # %%

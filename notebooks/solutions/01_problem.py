@@ -32,25 +32,6 @@ def mpc_regret(task, forecasts):
 # %% [markdown]
 # ## Exercise 3
 #
-# A unit error costs $\Psi_{ii}$; two together $\Psi_{ii} + \Psi_{jj} + 2\Psi_{ij}$. A symmetric
-# matrix has $\frac12 k(k + 1)$ numbers, and each takes one call.
-
-
-# %%
-def measure(price, size):
-    """Return Psi (size, size) from calls of price(e)."""
-    unit = np.eye(size)
-    Psi = np.diag([float(price(e)) for e in unit])
-    for i in range(size):
-        for j in range(i):
-            both = price(unit[i] + unit[j])
-            Psi[i, j] = Psi[j, i] = (both - Psi[i, i] - Psi[j, j]) / 2
-    return Psi
-
-
-# %% [markdown]
-# ## Exercise 4
-#
 # A robot that forgets, $A = 0.5$, and is charged for its end alone: an early push has died out by
 # then, by itself, so a good plan does not answer it. A late one counts in full. Where states do not
 # die out, an open-loop plan pays for an early error in every later state, and the last is cheap.

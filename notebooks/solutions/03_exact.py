@@ -32,23 +32,6 @@ def branch(problem):
 # %% [markdown]
 # ## Exercise 2
 #
-# Add $\Delta - x_j$ to both sides of $x_i + 2\rho\sqrt{\Delta - x_j} + \rho^2 \le x_j$. The left
-# side becomes $x_i$ plus a square: $x_i + (\rho + \sqrt{\Delta - x_j})^2 \le \Delta$. Move $x_i$
-# across and take roots: $\rho + \sqrt{\Delta - x_j} \le \sqrt{\Delta - x_i}$. The distance of the
-# centres plus the radius of $j$ is at most the radius of $i$: the ball of $j$ lies inside the ball
-# of $i$.
-
-
-# %%
-def dominates(x_i, y_i, x_j, y_j, room):
-    """Return whether all that label j can still afford, label i can afford as well."""
-    rho = np.linalg.norm(np.asarray(y_i) - np.asarray(y_j))
-    return bool(rho + np.sqrt(room - x_j) <= np.sqrt(room - x_i))
-
-
-# %% [markdown]
-# ## Exercise 3
-#
 # The cheapest way to model $w$ at step $t$ comes from some model $v$: $F_{tw} = G_{tw} + \min_v
 # (F_{t-1,v} + \beta\sigma_{vw})$. Without arcs the minimum is the same for all $w$, and $F$ adds
 # up $\min_w G_{tw}$.
@@ -66,7 +49,7 @@ def path_bound(problem, d):
 
 
 # %% [markdown]
-# ## Exercise 4
+# ## Exercise 3
 #
 # One step is enough. Model 0 is free and errs by 1, model 1 costs 1 and errs by 0.01: either
 # costs 1. Half of each errs by 0.5 and costs about $0.25 + 0.5$: a blend need not cancel errors
