@@ -11,7 +11,8 @@
 #
 # **Covers** `sol:model_selection`, `sol:model_selection_expectation`, `remark:np_status`.
 #
-# A solver returns a schedule. Here is the other half of its answer: why none of $W^H$ is cheaper.
+# A solver returns a schedule. Here is the other half of its answer: why none of $W^H$ schedules
+# ($W$ models, $H$ steps) is cheaper.
 
 # %%
 from dataclasses import replace
@@ -45,8 +46,8 @@ print(f"Psi = {toy.psi.round(3).tolist()}\n{toy.total_cost(nine).reshape(3, 3).r
 # tangent there: error $\mu$ at step $t$ costs $2\mu\,(\Psi d)_t = \frac{2}{15}\mu$. With its
 # price, b0 costs $\frac{2}{15} = 0.133$, b1 $-\frac1{15} + 0.2 = 0.133$, b2 $\frac{2}{150} + 0.6 =
 # 0.613$. The cheapest of each step, added up, less $d^\top\Psi d = 0.009$, make $LB = 0.258$.
-# **Every** schedule costs exactly 0.258, plus what its models cost above the cheapest (b2: 0.48),
-# plus a square that the tangent left out.
+# **Every** schedule costs exactly 0.258, plus the **reduced costs** of its models, what each costs
+# above the cheapest (b2: 0.48), plus a square that the tangent left out.
 
 # %% alt="Nine bars from the cheapest schedule, 0.725, to the dearest, 2.1: every bar is the same bound 0.258, plus 0.48 for each use of b2, plus a square. A dotted line at 0.725: the five bars of schedules with b2 pass it by bound and reduced costs alone." tags=["hide-input"]
 plt.rcParams.update(landing.STYLE)
@@ -81,10 +82,11 @@ plt.show()
 # $$G_{tw} = 2\,\mu_{tw}^\top (Md)_t + \ell_{tw}, \quad r_{tw} = G_{tw} - \min_v G_{tv} \ge 0,
 # \quad LB(d) = \sum_t \min_w G_{tw} - d^\top M d .$$
 #
-# ($G_{tw}$ is no part of notebook 1's $S_t = G_t G_t^\top$.) No term after $LB(d)$ is negative. The
-# best $d$ is the mean error of the relaxation (notebook 4); a bad one makes the bound loose, never
-# wrong. We check the identity on all 65,536 schedules of a longer cart: dear thrust, eight steps,
-# four models with signs drawn for every step.
+# ($G_{tw}$ is no part of notebook 1's $S_t = G_t G_t^\top$.) No term after $LB(d)$ is negative.
+# The best $d$ is the mean error of the **relaxation**, the cheapest blend: weights of the models
+# at each step in place of a choice (notebook 4). A bad $d$ makes the bound loose, never wrong. We
+# check the identity on all 65,536 schedules of a longer cart: dear thrust, eight steps, four
+# models with signs drawn for every step.
 
 
 # %%
@@ -128,7 +130,7 @@ print(f"r / Delta, a row for each model; {left} schedules left:\n{(reduced / roo
 #
 # Back to two steps. Under `preview` the square is a sum over steps, read from the last to the
 # first. It is notebook 1's regret, with deviations $\varepsilon_t = \mu_{t,c_t} - d_t$ in place of
-# errors, and the same $q$, a costate ($q_H = 0$; let $\alpha = 1$):
+# errors, LQR's $P_t, S_t, K_t$ and the same $q$, a costate ($q_H = 0$; let $\alpha = 1$):
 #
 # $$h_t = P_{t+1} C \varepsilon_t + q_{t+1}, \qquad q_t = (A - BK_t)^\top h_t, \qquad
 # \text{step } t \text{ pays } (B^\top h_t)^\top S_t^{-1} (B^\top h_t).$$
@@ -145,11 +147,11 @@ print(f"r / Delta, a row for each model; {left} schedules left:\n{(reduced / roo
 #
 # **Out of room**: its extra cost $x$ exceeds $\Delta$.
 #
-# **Dominated.** Complete labels $i$ and $j$ of one step by the same models. Earlier steps add the
-# same reduced costs to both, and squares $|y + v|^2$: $y$ is the label's costate as they feel it,
-# $v$ is theirs, the same for both. Within the room $x_j + |y_j + v|^2 \le \Delta$, so $v$ lies in a
-# ball about $-y_j$ of radius $\sqrt{\Delta - x_j}$. **If the ball of $j$ lies inside that of $i$,
-# $j$ may die**:
+# **Dominated.** Give labels $i$ and $j$ of one step the same models at all earlier steps. These
+# add the same reduced costs to both, and squares $|y + v|^2$: $y$ is the label's costate as they
+# feel it, $v$ is theirs, the same for both. Within the room $x_j + |y_j + v|^2 \le \Delta$, so $v$
+# lies in a ball about $-y_j$ of radius $\sqrt{\Delta - x_j}$. **If the ball of $j$ lies inside
+# that of $i$, $j$ may die**:
 #
 # $$\rho + \sqrt{\Delta - x_j} \le \sqrt{\Delta - x_i}, \qquad \rho = |y_i - y_j| .$$
 #
@@ -170,25 +172,25 @@ def search(A, B, C, Q, R, mean, reduced, d, room):
     for _ in range(H):  # Riccati
         S = R + B.T @ P @ B
         closed = A - B @ np.linalg.solve(S, B.T @ P @ A)
-        law.insert(0, (P, S, closed))
+        law.insert(0, (P, S, closed))  # of step t: P_{t+1}, S_t, A - B K_t
         P = Q + A.T @ P @ closed
-    F = [0 * A]
+    F = [0 * A]  # F[t]: what the steps before t feel
     for _, S, closed in law:
         F.append(B @ np.linalg.solve(S, B.T) + closed @ F[-1] @ closed.T)
     alive, log = [(0.0, np.zeros(len(A)), ())], []
     for t in reversed(range(H)):
         (P, S, closed), grown = law[t], []
-        for extra, q, later in alive:
+        for extra, q, later in alive:  # each label grows by each model
             for w in range(W):
                 h = P @ C[:, 0] * (mean[t, w] - d[t]) + q
                 paid = B.T @ h @ np.linalg.solve(S, B.T @ h)
                 grown.append((extra + reduced[t, w] + paid, closed.T @ h, (w, *later)))
         alive = []
-        for extra, q, models in sorted(grown, key=lambda label: label[0]):
+        for extra, q, models in sorted(grown, key=lambda label: label[0]):  # cheapest first
             fate = "kept" if extra <= room else "out of room"
-            for x, other, _ in alive if fate == "kept" else ():
+            for x, other, _ in alive:
                 rho = np.sqrt(max((q - other) @ F[t] @ (q - other), 0))
-                if rho + np.sqrt(room - extra) <= np.sqrt(room - x):
+                if extra <= room and rho + np.sqrt(room - extra) <= np.sqrt(room - x):
                     fate = "dominated"
             if fate == "kept":
                 alive.append((extra, q, models))
@@ -223,12 +225,13 @@ figure.legend(loc="outside lower center", ncols=3)
 plt.show()
 
 # %% [markdown]
-# The module's `dynamic_program` is this search for every pattern, $p$ and cost.
+# The module's `dynamic_program` is this search for every pattern, for errors of $p$ numbers, and
+# for every cost.
 #
 # ## Branch and bound: the same bound on a tree
 #
-# Relax (notebook 4). If the bound does not reach the best schedule known, split a step: a child for
-# each model that reduced costs leave there; relax each.
+# Relax: find the best blend, and with its $d$ the bound. If it does not reach the best schedule
+# known, split a step: a child for each model that reduced costs leave there; relax each.
 
 # %% alt="A tree of 16 nodes as an indented list. The root's bound is 10.0281. Its four children settle step 2, theirs other steps; each node names step and model. The six that were split show bounds below the optimum 11.5894, the last by 0.0001; below the dotted leaves nothing is cheaper than it." tags=["hide-input"]
 tree = ms.branch_and_bound(problem).work["tree"]
@@ -257,7 +260,7 @@ assert min(leaves) >= costs.min() * (1 - 1e-9) and tree[0].bound < costs.min()
 #
 # `check_certificate` derives cost and $LB(d)$ anew, and accepts any `lower_bound` between the two:
 # it cannot repeat a search. `Schedule.proof` says what carries the bound, `"root"` (three lines that
-# you can check) or `"search"` (a search's word). Here is a lie that it accepts:
+# you can check) or `"search"` (a search's word). A lie that it accepts; it vouches for 10.03 only:
 
 # %%
 lie = replace(quick, lower_bound=quick.cost)  # not the optimum
@@ -267,10 +270,11 @@ assert lie.is_optimal and lie.cost > 1.01 * costs.min() and lie.proof == "search
 # %% [markdown]
 # ## Switching costs and a budget: the same certificate
 #
-# Let a change of model cost $\sigma$, and let a schedule spend at most $K$. For any $d$ and any
-# $\lambda \ge 0$, a price on the budget, put $\lambda$ times the spending into $G$ and the arcs
-# (what a change between two steps costs). The cheapest **path** takes the place of the sum of
-# minima, $LB(d, \lambda) = \text{cheapest path} - d^\top M d - \lambda K$:
+# Let a change of model cost $\sigma$, and let a schedule spend at most $K$ on models and changes.
+# Now a schedule is a **path**: its nodes, a model at each step, cost $G$; its arcs, from a model
+# to the next, cost $\sigma$ where the model changes. For any $d$ and any $\lambda \ge 0$, a price
+# on the budget, add $\lambda$ times what each node and arc spends. The cheapest path takes the
+# place of the sum of minima, $LB(d, \lambda) = \text{cheapest path} - d^\top M d - \lambda K$:
 #
 # $$\mathrm{total} = LB(d, \lambda) + (\text{path} - \text{cheapest path})
 # + \lambda\,(K - \mathrm{spent}) + \text{square}.$$
@@ -280,19 +284,13 @@ assert lie.is_optimal and lie.cost > 1.01 * costs.min() and lie.proof == "search
 # On the cart, with a budget of 3:
 
 # %%
-K, toll = 3.0, 0.5 * (1 - np.eye(4))
-limited = replace(problem, switch_cost=toll, budget=K)
+limited = replace(problem, switch_cost=0.5 * (1 - np.eye(4)), budget=3.0)
 answer, point = ms.solve(limited), ms.relax_by_columns(limited)
-d, lam = point.reference, point.multiplier
-G = 2 * mu * (M @ d)[:, None] + linear + lam * limited.model_cost
-path = G[steps, everything].sum(axis=1)
-path += (1 + lam) * toll[everything[:, :-1], everything[:, 1:]].sum(axis=1)
-spent, away = limited.perception_term(everything), limited.chosen_mean(everything) - d
-bound = path.min() - d @ M @ d - lam * K
-parts = bound + path - path.min() + lam * (K - spent) + ((away @ M) * away).sum(axis=1)
-np.testing.assert_allclose(parts, limited.total_cost(everything))
-print(f"bound {bound:.2f}, lambda {lam:.2f}; optimum {answer.cost:.2f}: {answer.choices}")
-np.testing.assert_allclose(answer.cost, parts[spent <= K].min())
+lam, spent = point.multiplier, limited.perception_term(answer.choices)
+bound, _ = ms.reference_bound(limited, point.reference, lam)
+print(f"LB(d, {lam:.2f}) = {bound:.2f}; optimum {answer.cost:.2f}: {answer.choices} spends {spent}")
+assert bound <= answer.cost
+np.testing.assert_allclose(answer.cost, ms.enumerate_schedules(limited).cost)
 
 # %% [markdown]
 # ## The paper's experiment
@@ -313,9 +311,10 @@ print(f"b1 flipped: cost {answer.cost:.3e}, root gap {gap:.1%}, at most {most} l
 assert answer.is_optimal and answer.proof == "search"
 
 # %% [markdown]
-# Of $8^{150}$ schedules one is left: ours. With mixed signs errors cancel, at an eighth of the cost.
-# A blend of models cancels even better, so the bound is low, and a search must close the gap. Not
-# every gap closes in time: the problem is NP-hard (`remark:np_status`, notebook 4).
+# Of $8^{150}$ schedules one is left: ours. With mixed signs errors cancel, at an eighth of the
+# cost. A blend of models cancels a little better, so the bound is a little low, and a search
+# closes the gap. Not every gap closes in time: the problem is NP-hard (`remark:np_status`,
+# notebook 4).
 #
 # **In one paragraph.** Any $d$ splits every cost into a bound, reduced costs and a square. Reduced
 # costs rule models out. The rest is searched from the last step: a label remembers its extra cost
@@ -349,9 +348,10 @@ assert answer.is_optimal and answer.proof == "search"
 # Write `branch(problem)`, about 20 lines, that returns choices, cost and the number of
 # relaxations. Keep a list of boolean tables `allowed` (H, W), at first all true, and a best
 # schedule. Take a table; `ms.relax_interior_point(problem, allowed=allowed, ceiling=cost)` gives a
-# `.bound` and `.weights`. Round the weights to a schedule; better than the best? Drop the table if
-# its bound reaches `cost * (1 - 1e-9)` or if one model a step is left. Otherwise split the step of
-# the most divided weights: a child for each allowed model.
+# `.bound` and `.weights` (H, W); it stops early once the bound exceeds the ceiling. Round the
+# weights to a schedule; better than the best? Drop the table if its bound reaches
+# `cost * (1 - 1e-9)` or if one model a step is left. Otherwise split the step of the most divided
+# weights: a child for each allowed model.
 
 
 # %% tags=["exercise"]
@@ -380,8 +380,8 @@ print("Exercise 1: right")
 # ### Exercise 2: the cheapest path
 #
 # Write `path_bound(problem, d)`: $LB(d)$ of a problem with switching costs (`problem.beta *
-# problem.switch_cost` are the arcs; $p = 1$, no budget) in $O(HW^2)$, without a bound of ours:
-# from step to step, the cheapest way to each model.
+# problem.switch_cost` are the arcs, from row to column; errors are numbers, no budget) in
+# $O(HW^2)$, without a bound of ours: from step to step, the cheapest way to each model.
 
 
 # %% tags=["exercise"]
