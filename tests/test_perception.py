@@ -247,8 +247,9 @@ def test_picked_models_keep_their_entries(suite, data):
         (["huge"], "models: expected names among small, middle, large, or indices, found 'huge'"),
         ([0, 3], "models: expected names among small, middle, large, or indices, found 3"),
         ([-1], "models: expected names among small, middle, large, or indices, found -1"),
-        ([0, "small"], "names: expected distinct"),
-        ([], "names: expected distinct"),
+        ([0, "small"], "models: expected different names among small, middle, large, or indices"),
+        ([], "models: expected different names among small, middle, large, or indices, found []"),
+        (0, "models: expected different names among small, middle, large, or indices, found 0"),
     ],
 )
 def test_pick_refuses(models, start):
@@ -862,8 +863,10 @@ def test_read_residuals_refuses_unknown_models_and_bad_paths(tmp_path):
     assert refuses("names: expected distinct", read_residuals, path, ["a", "z", "z"])
     for path in (tmp_path, tmp_path / "none.csv"):
         assert refuses(f"{path}: cannot be read as a CSV file: [Errno", read_residuals, path)
-    with pytest.raises(OSError):
-        write_residuals(tmp_path, some_residuals())
+    assert refuses("None: cannot be read as a CSV file: expected str", read_residuals, None)
+    for path in (tmp_path, tmp_path / "none" / "file.csv", None, "a\0b"):
+        start = f"path: expected one that can be written, found {path}: "
+        assert refuses(start, write_residuals, path, some_residuals())
 
 
 ALONE = """
