@@ -193,7 +193,7 @@ def textbook_suite(
         lambda w, h: 1.5 * 0.6**w * (0.3 + h / 100),
         lambda w, h: 2.0 * 0.65**w * (0.3 + h / 100),
         check_number("upsilon", upsilon, minimum=0) * np.arange(8),
-        altitude,
+        check_array("altitude", altitude, "H", (None,)),
         jitter=(0.2, 0.1),
         signs=signs,
         rng=rng,

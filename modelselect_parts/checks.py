@@ -77,7 +77,9 @@ def check_array(
         column = raw.shape[::-1] if row else raw.shape + (1,) * (len(sizes) - raw.ndim)
         meant = raw.size and _fits(column, sizes)
         hint = f"; did you mean np.reshape({name}, {column})?" if meant else ""
-        raise ValueError(f"{name}: expected shape {expected}, found {raw.shape}{hint}")
+        wanted = f"shape {expected}" if axes else "a number"
+        found = f"{raw.shape}{hint}" if axes else f"shape {raw.shape}"
+        raise ValueError(f"{name}: expected {wanted}, found {found}")
     fact = "finite" if finite else "finite or infinite"
     if FACTS.get((id(raw), fact)) is raw:
         return raw

@@ -52,10 +52,10 @@ def nearest_semidefinite(matrices: npt.ArrayLike) -> Array:
     """
     n = (as_numbers("matrices", matrices).shape[-1:] or (None,))[0] or None
     M = check_array("matrices", matrices, "... n n", (n, n))
-    M = (M + np.swapaxes(M, -1, -2)) / 2
+    M = M / 2 + np.swapaxes(M, -1, -2) / 2
     diagonal = np.diagonal(M, axis1=-2, axis2=-1)[..., None]
     scale = np.sqrt(np.where(diagonal > 0, diagonal, 1))
     values, V = np.linalg.eigh(M / scale / np.swapaxes(scale, -1, -2))
     root = scale * V * np.sqrt(np.maximum(values, 0))[..., None, :]
     nearest = root @ np.swapaxes(root, -1, -2)
-    return np.asarray((nearest + np.swapaxes(nearest, -1, -2)) / 2)
+    return np.asarray(nearest / 2 + np.swapaxes(nearest, -1, -2) / 2)

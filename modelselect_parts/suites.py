@@ -55,7 +55,8 @@ class PerceptionSuite(Frozen):
 
     def __post_init__(self) -> None:
         names = check_names("names", self.names)
-        mean = check_array("mean", self.mean, "H W p", (None, len(names), None))
+        known = f" (W = {len(names)} as of names)"
+        mean = check_array("mean", self.mean, "H W p", (None, len(names), None), known=known)
         H, W, p = mean.shape
         variance = check_array("variance", self.variance, "...", ())
         shape = ("H W p p", (H, W, p, p)) if variance.ndim == 4 else ("H W p", (H, W, p))

@@ -781,7 +781,7 @@ ROWS: dict[str, tuple[Callable[..., Any], dict[str, Arg]]] = {
     ),
     "PerceptionSuite.pick": (
         lambda models: suite().pick(models),
-        {"models": names(["c", "a"], "fewer", blames="names")},
+        {"models": names(["c", "a"], "fewer")},
     ),
     "published_suite": (
         perception.published_suite,
@@ -803,7 +803,7 @@ ROWS: dict[str, tuple[Callable[..., Any], dict[str, Arg]]] = {
     "textbook_suite": (
         perception.textbook_suite,
         {
-            "altitude": real([8, 4, 2, 1], "length", blames="at"),
+            "altitude": real([8, 4, 2, 1], "length"),
             "rng": RNG,
             "signs": word("step"),
             "upsilon": number(3.0),
@@ -1437,6 +1437,12 @@ def test_what_numpy_would_warn_of_or_forget_is_refused():
     refused(lambda: ms.check_array("mean", far, "H", (None,)), "mean: expected finite numbers")
     one = ["a"], [0], [1.0], [1e300]
     refused(lambda: perception.Residuals(*one, period=1e-300), "residual: expected finite numbers")
+
+
+def test_lists_are_no_numbers():
+    for bad, found in (([1.0], "(1,)"), ([[1.0, 2.0]], "(1, 2)"), ([], "(0,)")):
+        line = f"alpha: expected a number, found shape {found}"
+        refused(lambda: dataclasses.replace(problem(), alpha=bad), line)  # noqa: B023
 
 
 def test_a_choice_that_is_none_is_shown_with_its_place():

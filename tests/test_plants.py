@@ -127,6 +127,11 @@ def test_a_cross_term_with_few_digits_is_told_what_to_do():
         ControlTask(np.eye(2), B, C, Q, [[1]], 3, N=N)
 
 
+def test_the_nearest_of_huge_matrices_does_not_overflow():
+    huge = np.full((2, 2), 1.5e308)
+    np.testing.assert_allclose(ms.nearest_semidefinite(huge), huge)
+
+
 def test_a_correlation_that_was_mended_is_told_how_to_get_its_ones_back():
     mended = ms.nearest_semidefinite([[1, 0.8, 0.1], [0.8, 1, 0.7], [0.1, 0.7, 1]])
     given = np.ones(3), np.ones((2, 3, 1))
