@@ -122,7 +122,7 @@ def _read_rows(path: PathLike, sep: str) -> tuple[list[str], list[int], list[tup
             lines = ["\n" if line.startswith("#") else line for line in file]
         reader = csv.reader(lines, delimiter=sep, strict=True)
         for row in reader:
-            if any(map(str.strip, row)):
+            if "".join(row).strip():
                 ends.append(reader.line_num)
                 rows.append(tuple(row))  # of which no collector of garbage keeps track
     except (OSError, TypeError, ValueError, csv.Error) as error:
@@ -171,7 +171,7 @@ def _numbers(column: Sequence[str], decimal: str, may_be_empty: bool) -> Array:
     if "".join(column).encode().translate(None, PLAIN):
         raise ValueError
     try:
-        values = np.array(list(map(float, column)))
+        values = np.fromiter(map(float, column), float, len(column))
     except ValueError:
         if not may_be_empty:
             raise
