@@ -699,11 +699,11 @@ def _parser() -> options.Parser:
     return options.of_landings(fields, _names())
 
 
+@options.plain_warnings("landing.py")
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line.
 
-    Returns 0, or 130 after Ctrl-C; bad input in `argv` ends it with status 2, after one line that
-    says what was wrong.
+    Returns 0, or 130 after Ctrl-C; bad input in `argv` ends it with status 2 and a line on why.
     """
     parser = _parser()
     parser.set_defaults(**DEFAULTS.get(parser.parse_known_args(argv)[0].experiment, {}))

@@ -39,7 +39,7 @@ array([[4.52, 2.13], [1.9 , 1.14], [1.23, 0.54]])
 from __future__ import annotations
 
 import io
-import os
+import pathlib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
@@ -77,14 +77,10 @@ from modelselect_parts.checks import (
     shown,
 )
 from modelselect_parts.checks import Choices as Indices
+from modelselect_parts.files import told
 from modelselect_parts.kernels import Kernel
 from modelselect_parts.matrices import check_semidefinite
-from modelselect_parts.measurements import (
-    PathLike,
-    Residuals,
-    read_residuals,
-    write_residuals,
-)
+from modelselect_parts.measurements import PathLike, Residuals
 from modelselect_parts.networks import (
     ARCHITECTURE,
     EFFICIENTNET,
@@ -95,6 +91,7 @@ from modelselect_parts.networks import (
     gradients,
     train_network,
 )
+from modelselect_parts.residual_files import read_residuals, write_residuals
 from modelselect_parts.residuals import (
     altitude_bins,
     bootstrap_errors,
@@ -196,7 +193,7 @@ def textbook_suite(
         lambda w, h: 1.5 * 0.6**w * (0.3 + h / 100),
         lambda w, h: 2.0 * 0.65**w * (0.3 + h / 100),
         check_number("upsilon", upsilon, minimum=0) * np.arange(8),
-        altitude,
+        check_array("altitude", altitude, "H", (None,)),
         jitter=(0.2, 0.1),
         signs=signs,
         rng=rng,
@@ -287,9 +284,14 @@ def load_models(path: PathLike, key: str, architecture: Sizes = ARCHITECTURE) ->
     """
     sizes = check_array("architecture", architecture, "W 3", (None, 3))
     networks = [new_network(size, np.random.default_rng(0)) for size in sizes]
-    W = len(networks)
+    W, where = len(networks), told(path)
     try:
-        with open(os.fspath(path), "rb") as raw, np.load(raw, allow_pickle=False) as file:
+        raw = pathlib.Path(path).read_bytes()
+    except (OSError, TypeError, ValueError) as error:
+        why = getattr(error, "strerror", None) or error
+        raise ValueError(f"path: expected a file of models, found {where!r}: {why}") from None
+    try:
+        with np.load(io.BytesIO(raw), allow_pickle=False) as file:
             found = dict(file)
         if str(found["key"]) != key:
             raise ValueError(f"expected the key {key}, found {str(found['key'])[:40]}")
@@ -298,14 +300,8 @@ def load_models(path: PathLike, key: str, architecture: Sizes = ARCHITECTURE) ->
             array[...] = check_array(name, found[name], axes, array.shape)
         losses = check_array("losses", found["losses"], "W epochs", (W, None))
         return Trained(networks, losses, _name_models(found["altitude"], found["residual"], W))
-    except (FileNotFoundError, IsADirectoryError) as error:
-        where = " ".join(str(path).split())
-        raise ValueError(
-            f"path: expected a file of models, found {where}: {error.strerror}"
-        ) from None
     except Exception as error:  # damage can surface as almost any of them
-        why = " ".join(str(error).split()).split(". ")[0][:150]
-        where = " ".join(str(path).split())
+        why = told(error).split(". ")[0][:150]
         raise ValueError(f"{where}: no file of these models, delete or move it: {why}") from None
 
 

@@ -33,8 +33,10 @@ relaxations       the relaxation, by the engine that is fastest for it
 passes            the exact search pass by pass; the price of a budget
 blends            paper V: Problem 4
 suites            how models err, step by step; dropouts, latency
-measurements      measured errors in memory and in files
+measurements      measured errors as a table of rows
+residual_files    such tables in files
 kernels           residuals weighed by how near they were made
+doubts            what a fit warns of
 residuals         what to expect of them: fitted, guarded, drawn from
 camera            pictures of a helipad
 networks          small networks and how they learn

@@ -35,7 +35,7 @@ FACTS: WeakValueDictionary[tuple[int, str], npt.NDArray[Any]] = WeakValueDiction
 
 def as_numbers(name: str, value: npt.ArrayLike) -> npt.NDArray[Any]:
     """Return `value` as an array of booleans, integers or floats."""
-    if np.ma.is_masked(value):
+    if _is_masked(value):
         raise ValueError(f"{name}: expected all entries, found a masked array")
     try:
         raw = np.asarray(value)
@@ -44,6 +44,13 @@ def as_numbers(name: str, value: npt.ArrayLike) -> npt.NDArray[Any]:
     if raw.dtype.kind not in "biuf":
         raise ValueError(f"{name}: expected real numbers, found dtype {raw.dtype}")
     return raw
+
+
+def _is_masked(value: Any) -> bool:
+    """Whether an entry is masked, be it of an array in a list, where NumPy forgets its mask."""
+    parts = value if isinstance(value, list | tuple) else ()
+    inside = any(_is_masked(part) for part in parts if not isinstance(part, float | int))
+    return bool(inside or np.ma.is_masked(value))
 
 
 def check_array(
@@ -63,23 +70,31 @@ def check_array(
     raw, letters = as_numbers(name, value), tuple(axes.replace("...", "").split())
     front = ("...",) if "..." in axes else ()
     last = raw.shape[max(0, raw.ndim - len(letters)) :] if front else raw.shape
-    right = len(last) == len(letters) and all(map(lambda k, n: k in (None, n), sizes, last))
-    if not right or 0 in raw.shape:
+    if not _fits(last, sizes) or 0 in raw.shape:
         sized = tuple(map(lambda axis, k: axis if k is None else str(k), letters, sizes))
         expected = f"{front + letters} = {front + sized}".replace("'", "") + known
-        flat = len(letters) == 2 and raw.ndim == 1 and sizes[1] is None
-        column = f"; a single column has shape ({len(raw)}, 1)" if flat and len(raw) else ""
-        raise ValueError(f"{name}: expected shape {expected}, found {raw.shape}{column}")
+        row = raw.ndim == 2 and len(raw) == 1
+        column = raw.shape[::-1] if row else raw.shape + (1,) * (len(sizes) - raw.ndim)
+        meant = raw.size and _fits(column, sizes)
+        hint = f"; did you mean np.reshape({name}, {column})?" if meant else ""
+        wanted = f"shape {expected}" if axes else "a number"
+        found = f"{raw.shape}{hint}" if axes else f"shape {raw.shape}"
+        raise ValueError(f"{name}: expected {wanted}, found {found}")
     fact = "finite" if finite else "finite or infinite"
     if FACTS.get((id(raw), fact)) is raw:
         return raw
-    array = frozen(np.asarray(raw, dtype=np.float64))
+    with np.errstate(over="ignore"):
+        array = frozen(np.asarray(raw, dtype=np.float64))
     bad = ~np.isfinite(array) if finite else np.isnan(array)
     if bad.any():
         where = _place(letters, np.argwhere(bad)[0])
         raise ValueError(f"{name}: expected {fact} numbers, found {array[bad][0]}{where}")
     FACTS[id(array), fact] = array
     return array
+
+
+def _fits(shape: Sequence[int], sizes: Sequence[int | None]) -> bool:
+    return len(shape) == len(sizes) and all(map(lambda n, k: k in (None, n), shape, sizes))
 
 
 def _place(letters: Sequence[str], index: npt.NDArray[np.intp]) -> str:
@@ -112,8 +127,10 @@ def check_count(name: str, value: Any, *, minimum: int = 1, top: float = 2**64 -
 def check_choices(choices: npt.ArrayLike, H: int | None, W: int) -> Choices:
     """Return `choices` (..., H) as integers from 0 to W - 1."""
     c = check_array("choices", choices, "... H", (H,))
-    if np.any((c != np.floor(c)) | (c < 0) | (c >= W)):
-        raise ValueError(f"choices: expected integers from 0 to {W - 1}, found others")
+    bad = (c != np.floor(c)) | (c < 0) | (c >= W)
+    if bad.any():
+        found = f"{c[bad][0]:g}{_place('H', np.argwhere(bad)[0])}"
+        raise ValueError(f"choices: expected integers from 0 to {W - 1}, found {found}")
     return c.astype(np.intp)
 
 

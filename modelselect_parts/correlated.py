@@ -70,8 +70,10 @@ def _joint(problem: SelectionProblem, covariance: Covariance, t: Choices, w: Cho
             raise ValueError(f"covariance: expected shape {expected}, found {given.shape}")
         blocks = given[t[:, None], w[:, None], :, t, w]
     joint = blocks.swapaxes(1, 2).reshape(2 * (len(t) * p,))
-    joint = check_array("covariance", joint, "N N", joint.shape)
-    return joint if _clearly_semidefinite(joint) else check_semidefinite("covariance", joint)
+    checked = check_array("covariance", joint, "N N", joint.shape)
+    if _clearly_semidefinite(checked):
+        return checked
+    return check_semidefinite("covariance", checked, given=joint)
 
 
 def _entry(found: npt.ArrayLike, p: int) -> Array:

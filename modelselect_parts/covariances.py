@@ -66,15 +66,16 @@ def autoregressive_errors(
     check_range("variance", spread)
     R = _correlation(correlation, W)
     # The noise that keeps x at correlation R has this covariance: it must be one.
-    check_semidefinite("correlation", R * (1 - np.outer(last, last)))
+    check_semidefinite("correlation", R * (1 - np.outer(last, last)), given=correlation)
     return _over_time(np.sqrt(spread), np.zeros_like(spread), last, R)
 
 
 def _correlation(given: npt.ArrayLike | None, W: int) -> Array:
     R = check_array("correlation", np.eye(W) if given is None else given, "W W", (W, W))
-    if (R.diagonal() != 1).any():
-        raise ValueError("correlation: expected 1 on the diagonal, found others")
-    return check_semidefinite("correlation", R)
+    if (other := R.diagonal() != 1).any():
+        wrong = f"{float(R.diagonal()[other][0])}; divide by np.sqrt(np.outer(d, d))"
+        raise ValueError(f"correlation: expected 1 on the diagonal d, found {wrong}")
+    return check_semidefinite("correlation", R, given=given)
 
 
 def _over_time(size: Array, white: Array, rho: Array, R: Array) -> Array:

@@ -7,12 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from modelselect_parts.checks import Array, check_class
+from modelselect_parts.objects import Record
 from modelselect_parts.problem import SelectionProblem
 from modelselect_parts.sensitivity import Sensitivity
 
 
 @dataclass(frozen=True, eq=False)
-class ErrorCost:
+class ErrorCost(Record):
     """What each model would cost the controller if it ran at every step (see `error_cost`)."""
 
     mean_square: Array  #: (W,), mean squared error per step: what model cards print

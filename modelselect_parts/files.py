@@ -7,6 +7,11 @@ from pathlib import Path
 from modelselect_parts.objects import check_class
 
 
+def told(path: object) -> str:
+    """Return a path as it stands in a message: on one line."""
+    return " ".join(str(path).split())
+
+
 def write_atomically(path: Path, content: bytes, *, make_folder: bool = True) -> None:
     """Write `content` to a file completely or not at all: beside it first, then moved there.
 

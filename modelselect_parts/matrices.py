@@ -9,6 +9,16 @@ from modelselect_parts.checks import FACTS, Array, as_numbers, check_array
 from modelselect_parts.semidefinite import EPSILON, MATRIX_TOLERANCE, judged, mended
 
 
+def tolerance(*given: npt.ArrayLike | None) -> float:
+    """Return how far rounding can have moved an eigenvalue: of the fewest digits that were `given`.
+
+    Relative to a unit diagonal.
+    """
+    digits = [np.asarray(matrix).dtype for matrix in given]
+    single = [np.finfo(d).eps for d in digits if d.kind == "f" and d.itemsize < 8]
+    return max([MATRIX_TOLERANCE, *(8 * float(eps) for eps in single)])
+
+
 def check_semidefinite(
     name: str, matrices: Array, *, definite: bool = False, given: npt.ArrayLike | None = None
 ) -> Array:
@@ -16,17 +26,14 @@ def check_semidefinite(
 
     As they were `given`, they may have had fewer digits than ours; messages say `name`.
     """
-    digits = getattr(given, "dtype", np.dtype(float))
-    single = digits.kind == "f" and digits.itemsize < 8
-    tolerance = 8 * float(np.finfo(digits).eps) if single else MATRIX_TOLERANCE
     fact, k = "definite" if definite else "semidefinite", matrices.shape[-1]
     if FACTS.get((id(matrices), fact)) is matrices:
         return matrices
-    skew, least = judged(matrices)
-    if skew > tolerance:
+    (skew, least), slack = judged(matrices), tolerance(given)
+    if skew > slack:
         found = f"asymmetry {skew:.3g}; symmetrise it first: ({name} + {name}.T) / 2"
         raise ValueError(f"{name}: expected a symmetric matrix, found {found}")
-    if least <= (10 * EPSILON if definite else -tolerance) * k:
+    if least <= (10 * EPSILON if definite else -slack) * k:
         found = f"smallest eigenvalue {least:.3g} (of the matrix scaled to unit diagonal)"
         if -1e-3 < least <= 0 and not definite:
             found += f"; if digits were lost: nearest_semidefinite({name})"
@@ -45,10 +52,10 @@ def nearest_semidefinite(matrices: npt.ArrayLike) -> Array:
     """
     n = (as_numbers("matrices", matrices).shape[-1:] or (None,))[0] or None
     M = check_array("matrices", matrices, "... n n", (n, n))
-    M = (M + np.swapaxes(M, -1, -2)) / 2
+    M = M / 2 + np.swapaxes(M, -1, -2) / 2
     diagonal = np.diagonal(M, axis1=-2, axis2=-1)[..., None]
     scale = np.sqrt(np.where(diagonal > 0, diagonal, 1))
     values, V = np.linalg.eigh(M / scale / np.swapaxes(scale, -1, -2))
     root = scale * V * np.sqrt(np.maximum(values, 0))[..., None, :]
     nearest = root @ np.swapaxes(root, -1, -2)
-    return np.asarray((nearest + np.swapaxes(nearest, -1, -2)) / 2)
+    return np.asarray(nearest / 2 + np.swapaxes(nearest, -1, -2) / 2)

@@ -18,8 +18,9 @@ import numpy as np
 import modelselect as ms
 from modelselect_parts.checks import Array, Choices, check_class
 from modelselect_parts.kernels import Kernel
-from modelselect_parts.measurements import Residuals, read_residuals, rows_of
+from modelselect_parts.measurements import Residuals, rows_of
 from modelselect_parts.regulator import PATTERNS, roll_out
+from modelselect_parts.residual_files import read_residuals
 from modelselect_parts.residuals import fit_suite
 from modelselect_parts.sight import Aircraft
 from modelselect_parts.suites import PerceptionSuite, with_dropouts
@@ -59,7 +60,12 @@ def halves(residuals: Residuals, rng: Rng) -> tuple[Residuals, Sights]:
     view, W = column(residuals, "view"), len(residuals.names)
     numbers, count = np.unique(view, return_counts=True)
     if residuals.residual.ndim > 1 or len(numbers) < 2 or set(count) != {W}:
-        raise ValueError(f"residuals: expected one number of each of {W} models on every view")
+        odd = int(np.argmax(count != W))
+        found = f"{count[odd] * residuals.residual[0].size} on view {numbers[odd]:g}"
+        raise ValueError(
+            f"residuals: expected one number of each of {W} models on each of 2 or more views, "
+            f"found {len(numbers)} views, and {found}"
+        )
     kept = rng.permutation(numbers)[: len(numbers) // 2]
     flown = rows_of(residuals, ~np.isin(view, kept))
     order = np.lexsort([flown.model, column(flown, "view")])

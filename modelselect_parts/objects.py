@@ -23,6 +23,14 @@ class Frozen:
             object.__setattr__(self, name, value)
 
 
+class Record(Frozen):
+    """Such a dataclass of results: nothing is checked, and no array can be written to."""
+
+    def __post_init__(self) -> None:
+        arrays = {k: value for k, value in vars(self).items() if isinstance(value, np.ndarray)}
+        self._set(**{name: frozen(array) for name, array in arrays.items()})
+
+
 def frozen(array: npt.NDArray[Any]) -> npt.NDArray[Any]:
     """Return a copy in memory that cannot be written to, whatever its flags are set to."""
     return np.frombuffer(array.tobytes(), array.dtype).reshape(array.shape)

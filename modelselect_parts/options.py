@@ -9,7 +9,9 @@ from __future__ import annotations
 import argparse
 import os
 import sys
-from collections.abc import Callable, Collection, Mapping
+import warnings
+from collections.abc import Callable, Collection, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NoReturn, TypeVar
 
@@ -82,6 +84,18 @@ class Parser(argparse.ArgumentParser):
         """Say on one line that Ctrl-C ended the work, and return the status to end with."""
         print(f"{self.prog}: interrupted", file=sys.stderr)
         return INTERRUPTED
+
+
+@contextmanager
+def plain_warnings(program: str) -> Iterator[None]:
+    """Say each warning on one line, as an error is said, and not where in our code it arose."""
+
+    def show(message: object, *_: Any, **__: Any) -> None:
+        print(f"{program}: warning: {' '.join(str(message).split())}", file=sys.stderr)
+
+    with warnings.catch_warnings():
+        warnings.showwarning = show
+        yield
 
 
 # ----------------------------------------------------------------------------- the landing's own

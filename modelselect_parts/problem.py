@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import math
 import warnings
-from dataclasses import KW_ONLY, dataclass
+from collections.abc import Mapping
+from dataclasses import KW_ONLY, dataclass, replace
 from fractions import Fraction
 from functools import cached_property
 from typing import Any, Protocol, Self
@@ -159,9 +160,10 @@ class SelectionProblem(Stored):
     def from_suite(cls, psi: Array | Sensitivity, suite: Suite, **given: Any) -> Self:
         """Pose the problem of a suite's means, variances and, unless `given`, costs.
 
-        Everything else that a problem takes may be given by name: alpha, budget, switch_cost.  A
-        suite whose models sometimes gave nothing (`miss_rate`) says how they err when they do not,
-        which is too good: `perception.with_dropouts` adds what happens then.
+        A `model_cost` may be by name, too.  Everything else that a problem takes may be given:
+        alpha, budget, switch_cost.  A suite whose models sometimes gave nothing (`miss_rate`) says
+        how they err when they do not, which is too good: `perception.with_dropouts` adds what
+        happens then.
         """
         if not all(hasattr(suite, name) for name in ("mean", "variance", "cost")):
             raise ValueError(f"suite: expected PerceptionSuite, found {type(suite).__name__}")
@@ -169,7 +171,10 @@ class SelectionProblem(Stored):
         if rate is not None and np.any(rate):
             left_out = "suite: looks that gave nothing are left out; see with_dropouts"
             warnings.warn(left_out, stacklevel=2)
-        return cls(psi, suite.mean, suite.variance, given.pop("model_cost", suite.cost), **given)
+        price = given.pop("model_cost", suite.cost)
+        if isinstance(price, Mapping):  # by name, which the suite knows
+            price = replace(suite, cost=price).cost  # type: ignore[type-var]
+        return cls(psi, suite.mean, suite.variance, price, **given)
 
     def _check_beyond_the_paper(self, H: int, W: int, p: int) -> None:
         """Check what moves cost, the model in memory, the pull and that the budget can be kept."""

@@ -7,7 +7,6 @@ each residual counts by how near it was: a `Kernel`.
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
@@ -28,6 +27,7 @@ from modelselect_parts.checks import (
     check_rng,
 )
 from modelselect_parts.checks import Choices as Indices
+from modelselect_parts.doubts import digits, report, span
 from modelselect_parts.kernels import (
     Axes,
     Kernel,
@@ -95,10 +95,10 @@ def fit_suite(
     else:
         mean, S, n, rate = kernel_moments(table, everywhere, kernel)
         price = np.where(rate == 1, np.inf, price) if (rate == 1).any() else price
-        used = near(axes, kernel)
+        used = near(everywhere, kernel)[~table.missed]
     S = _with_resolution(seen, mean, S)
     v = np.einsum("twii->twi", S)
-    _report(seen, mean, v, axes, used)
+    report(seen, mean, v, axes, used)
     error, variance = np.sqrt(v / n[..., None]), v if v.shape[-1] == 1 else S
     share = float(used.mean())
     return PerceptionSuite(table.names, mean, variance, price, np.floor(n), error, rate, share)
@@ -119,23 +119,30 @@ def bootstrap_errors(
     with this `trajectory` and these `bins`, or with chances a_i by `kernel`, all p components of
     one residual together.  Their mean is that of the suite, their variance (n - 1) / n of its own.
     """
-    residuals = _seen(as_residuals(residuals))
-    axes, N = along(residuals, trajectory), check_count("trials", trials)
-    r = errors_of(residuals)
+    table, N = as_residuals(residuals), check_count("trials", trials)
+    seen, rng = _seen(table), check_rng(rng)
     if kernel is not None:
         check_class("kernel", kernel, "Kernel")
-        r, weighed = relate(r, axes, kernel), weights(residuals, axes, kernel)
-        H, W = len(path_of(axes)), len(residuals.names)
-        drawn = np.empty((N, H, W, r.shape[1]))
-        for steps, w, rows, k in weighed:
-            for t, each in zip(steps, k, strict=True):
-                drawn[:, t, w] = r[check_rng(rng).choice(rows, N, p=each / each.sum())]
-        return drawn * scale(axes, kernel)
-    cell, visited, n = _sort_into_bins(residuals, axes, bins)
+        return _drawn_near(table, along(table, trajectory), kernel, N, rng)
+    cell, visited, n = _sort_into_bins(seen, along(seen, trajectory), bins)
     first = np.cumsum(n).reshape(n.shape) - n  # where each cell starts, once they are in order
-    shape = (N, len(visited), len(residuals.names))
-    pick = first[visited] + check_rng(rng).integers(n[visited], size=shape)
-    return np.asarray(r[np.argsort(cell, kind="stable")][pick])
+    pick = first[visited] + rng.integers(n[visited], size=(N, len(visited), len(table.names)))
+    return np.asarray(errors_of(seen)[np.argsort(cell, kind="stable")][pick])
+
+
+def _drawn_near(table: Residuals, axes: Axes, kernel: Kernel, N: int, rng: Rng) -> Array:
+    """Draw errors (N, H, W, p) with the chances by which `kernel_moments` weighs them."""
+    r, seen = relate(errors_of(table), axes, kernel), ~table.missed
+    drawn = np.empty((N, len(path_of(axes)), len(table.names), r.shape[1]))
+    for steps, w, rows, k in weights(table, axes, kernel):
+        for t, each in zip(steps, k * seen[rows], strict=True):
+            if (total := each.sum()) < 2:
+                raise ValueError(
+                    f"residuals: expected 2 or more of {table.names[w]} near step {t}, found "
+                    f"{total:.2g}, as it mostly gave nothing there"
+                )
+            drawn[:, t, w] = r[rng.choice(rows, N, p=each / total)]
+    return drawn * scale(axes, kernel)
 
 
 def guard_suite(suite: PerceptionSuite, level: float = 0.95) -> PerceptionSuite:
@@ -173,8 +180,9 @@ def altitude_bins(altitude: ArrayLike, trajectory: ArrayLike, count: int) -> Arr
     fewer where so many altitudes are the same that bins between them would be empty.
     """
     h = check_path(trajectory, None)
-    near = check_array("altitude", altitude, "N", (None,))
-    near, bins = near[(near > h.min()) & (near < h.max())], check_count("count", count)
+    near, bins = check_array("altitude", altitude, "N", (None,)), check_count("count", count)
+    _check_moves(h, "altitude", bins)
+    near = near[(near > h.min()) & (near < h.max())]
     if len(near) < bins:
         raise ValueError(f"altitude: expected {bins} or more along the way, found {len(near)}")
     inner = np.linspace(0, 1, bins + 1)[1:-1]
@@ -216,38 +224,6 @@ def _with_resolution(residuals: Residuals, mean: Array, S: Array) -> Array:
             " ones; measure more, or state the resolution they are rounded to"
         )
     return np.asarray(S + lift[..., None] * np.eye(v.shape[-1]))
-
-
-def _report(residuals: Residuals, mean: Array, v: Array, axes: Axes, used: Mask) -> None:
-    """Warn where few residuals count, or angles err by half a turn."""
-    moves = any(np.ptp(h) > 0 for _, h in axes.values())
-    if moves and used.mean() < 0.5:
-        ways = (f"{n} {_span(z)}, on the way {_span(h)}" for n, (z, h) in axes.items())
-        warnings.warn(
-            f"fit_suite: {used.sum()} of {len(used)} residuals count along this trajectory "
-            f"({'; '.join(ways)}): are both in one unit?",
-            stacklevel=3,
-        )
-    if residuals.period is None:
-        return
-    far = (np.abs(mean) + 2 * np.sqrt(v) > residuals.period / 2).any(axis=-1)
-    if far.any():
-        t, w = np.argwhere(far)[0]
-        warnings.warn(
-            f"fit_suite: errors of {residuals.names[w]} near step {t} reach half a period, where "
-            "nobody can tell them from errors of the other sign",
-            stacklevel=3,
-        )
-
-
-def _span(z: Array) -> str:
-    return f"from {_digits(z.min())} to {_digits(z.max())}"
-
-
-def _digits(number: float) -> str:
-    """Return the shortest text that is this number, without a point where none is needed."""
-    short = f"{number:g}"
-    return short if float(short) == number else repr(float(number))
 
 
 # ------------------------------------------------------------------------------------------- bins
@@ -295,7 +271,7 @@ def _sort_into_bins(residuals: Residuals, axes: Axes, bins: ArrayLike) -> tuple[
         low, high = edges[visited[t] - 1], edges[visited[t]]
         raise ValueError(
             f"residuals: expected 2 or more of {residuals.names[w]} at {variable}s "
-            f"{_digits(low)} to {_digits(high)}, found {n[visited[t], w]}; use fewer bins or "
+            f"{digits(low)} to {digits(high)}, found {n[visited[t], w]}; use fewer bins or "
             "measure more"
         )
     return cell, visited, n
@@ -305,11 +281,7 @@ def _bin_edges(bins: ArrayLike, h: Array, variable: str) -> Array:
     """Return the edges of bins around the path h."""
     if as_numbers("bins", bins).ndim == 0:
         count = check_count("bins", bins)
-        if h.min() == h.max():
-            raise ValueError(
-                f"trajectory: expected several {variable}s to make {count} bins of, found "
-                f"{_digits(h[0])} at every step; state edges, such as bins=[low, high]"
-            )
+        _check_moves(h, variable, count)
         edges = np.linspace(h.min(), h.max(), count + 1)
     else:
         edges = check_array("bins", bins, "edges", (None,)).copy()
@@ -317,10 +289,19 @@ def _bin_edges(bins: ArrayLike, h: Array, variable: str) -> Array:
     increasing = len(edges) > 1 and np.diff(edges).min() > 0
     if not (increasing and set(_bin_of(h, edges)) <= set(range(1, len(edges)))):
         raise ValueError(
-            f"bins: expected increasing edges from {_digits(h.min())} or less to "
-            f"{_digits(h.max())} or more, found {len(edges)} edges {_span(edges)}"
+            f"bins: expected increasing edges from {digits(h.min())} or less to "
+            f"{digits(h.max())} or more, found {len(edges)} edges {span(edges)}"
         )
     return edges
+
+
+def _check_moves(h: Array, variable: str, count: int) -> None:
+    """Refuse a path h (H,) that stays where it is, as no bins can be made of one place."""
+    if h.min() == h.max():
+        raise ValueError(
+            f"trajectory: expected several {variable}s to make {count} bins of, found "
+            f"{digits(h[0])} at every step; state edges, such as bins=[low, high]"
+        )
 
 
 def _bin_of(z: Array, edges: Array) -> Indices:

@@ -55,7 +55,8 @@ class PerceptionSuite(Frozen):
 
     def __post_init__(self) -> None:
         names = check_names("names", self.names)
-        mean = check_array("mean", self.mean, "H W p", (None, len(names), None))
+        known = f" (W = {len(names)} as of names)"
+        mean = check_array("mean", self.mean, "H W p", (None, len(names), None), known=known)
         H, W, p = mean.shape
         variance = check_array("variance", self.variance, "...", ())
         shape = ("H W p p", (H, W, p, p)) if variance.ndim == 4 else ("H W p", (H, W, p))
@@ -86,12 +87,14 @@ class PerceptionSuite(Frozen):
 
     def pick(self, models: Sequence[str | int]) -> PerceptionSuite:
         """Return the suite of these `models` only, by name or by index, in this order."""
-        if isinstance(models, str):
-            raise ValueError(f"models: expected {_choice(self.names)}, found {shown(models)}")
-        w = [_index_of("models", model, self.names) for model in models]
-        given = {k: table for k, table in vars(self).items() if isinstance(table, np.ndarray)}
+        given = models if np.iterable(models) and not isinstance(models, str) else ()
+        w = [_index_of("models", model, self.names) for model in given]
+        if not w or len(set(w)) < len(w):
+            expected = f"different {_choice(self.names)}"
+            raise ValueError(f"models: expected {expected}, found {shown(models)}")
+        arrays = {k: table for k, table in vars(self).items() if isinstance(table, np.ndarray)}
         tables: dict[str, Any] = {
-            k: x[..., w] if k == "cost" else x[:, w] for k, x in given.items()
+            k: x[..., w] if k == "cost" else x[:, w] for k, x in arrays.items()
         }
         return replace(self, names=[self.names[i] for i in w], **tables)
 

@@ -27,8 +27,8 @@ from modelselect_parts.checks import (
     check_count,
     check_number,
 )
-from modelselect_parts.matrices import check_semidefinite
-from modelselect_parts.semidefinite import MATRIX_TOLERANCE, judged, semidefinite_root
+from modelselect_parts.matrices import check_semidefinite, tolerance
+from modelselect_parts.semidefinite import MATRIX_TOLERANCE, judged, mended, semidefinite_root
 
 # ------------------------------------------------------------------------------------ the task
 
@@ -110,13 +110,17 @@ class ControlTask(Frozen):
         if self.Q_final is None and checked["Q"].ndim == 3:
             raise ValueError("Q_final: required when Q varies with time, found None")
         final = checked["Q"] if self.Q_final is None else self.Q_final
-        checked["Q_final"] = check_array("Q_final", final, "n n", 2 * (sizes["n"],))
+        known = f" (n = {sizes['n']} as of A)"
+        checked["Q_final"] = check_array("Q_final", final, "n n", 2 * (sizes["n"],), known=known)
         for name in ("Q", "Q_final", "R"):
             given, definite = getattr(self, name), name == "R"
             given = self.Q if given is None else given
             checked[name] = check_semidefinite(name, checked[name], definite=definite, given=given)
         if self.N is not None:
-            _check_cross(checked["N"], checked["Q"], checked["R"])
+            slack = tolerance(self.N, self.Q, self.R)
+            lost = _check_cross(checked["N"], checked["Q"], checked["R"], slack)
+            for name in "QR":
+                checked[name] = check_array(name, mended(checked[name], 0.0, lost), "...", ())
         self._set(**checked)
 
     @classmethod
@@ -140,11 +144,12 @@ class ControlTask(Frozen):
         """
         A, B = _plant(system)
         cost: dict[str, Any] = {"Q": Q, "R": R, "horizon": horizon, "Q_final": Q_final, "N": N}
+        sample = 0.0 if dt is None else check_number("dt", dt)
         if step := _step(system):
-            if dt is not None and (step is True or not abs(step - dt) <= 1e-9 * abs(dt)):
+            if dt is not None and (step is True or not abs(step - sample) <= 1e-9 * abs(sample)):
                 raise ValueError(f"dt: expected that of the discrete system, {step}, found {dt}")
             return cls(A, B, C, **cost)  # type: ignore[arg-type]
-        if dt is None or not (sample := check_number("dt", dt)) > 0:
+        if not sample > 0:
             raise ValueError(f"dt: expected a step > 0 for a continuous system, found {dt}")
         n, (_, m) = len(A), B.shape
         both = np.hstack([B, check_array("C", C, "n p", (n, None), known=f" (n = {n} as of A)")])
@@ -205,14 +210,17 @@ def _step(system: Any) -> Any:
     return system.dt or 0
 
 
-def _check_cross(N: Array, Q: Array, R: Array) -> None:
-    """Refuse N unless x'Qx + 2x'Nu + u'Ru >= 0 for all x and u, at every step."""
+def _check_cross(N: Array, Q: Array, R: Array, slack: float) -> float:
+    """Refuse N unless x'Qx + 2x'Nu + u'Ru >= 0 at every step; return what lost digits take off."""
     lead = np.broadcast_shapes(*(M.shape[:-2] for M in (N, Q, R)))
     N, Q, R = (np.broadcast_to(M, (*lead, *M.shape[-2:])) for M in (N, Q, R))
-    _, least = judged(np.block([[Q, N], [np.swapaxes(N, -1, -2), R]]))
-    if least < -MATRIX_TOLERANCE * sum(N.shape[-2:]):
+    (_, least), k = judged(np.block([[Q, N], [np.swapaxes(N, -1, -2), R]])), sum(N.shape[-2:])
+    if least < -slack * k:
         found = f"smallest eigenvalue {least:.3g} (of the matrix scaled to unit diagonal)"
+        if least > -1e-3:
+            found += "; if digits were lost: nearest_semidefinite of it"
         raise ValueError(f"N: expected [[Q, N], [N', R]] positive semidefinite, found {found}")
+    return least if least < -MATRIX_TOLERANCE * k else 0.0
 
 
 def control_cost(task: ControlTask, states: npt.ArrayLike, controls: npt.ArrayLike) -> Any:

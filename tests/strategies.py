@@ -252,7 +252,9 @@ TOOLS = {
 #: Parts that users reach through another module than modelselect.
 HOMES = {
     **{"camera": "perception", "networks": "perception"},
-    **dict.fromkeys(("suites", "measurements", "kernels", "residuals"), "perception"),
+    **dict.fromkeys(
+        ("suites", "measurements", "residual_files", "kernels", "doubts", "residuals"), "perception"
+    ),
     **dict.fromkeys(
         ("flights", "rivals", "plots", "files", "options", "prices", "measured"), "landing"
     ),

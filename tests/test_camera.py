@@ -614,6 +614,9 @@ def test_a_file_of_other_sizes_is_refused(trained, tmp_path):
     for place, why in (("missing.npz", "No such file or directory"), ("", "Is a directory")):
         with pytest.raises(ValueError, match=f"^path: expected a file of models, found .*: {why}$"):
             load_models(tmp_path / place, "key")  # there is nothing to delete or move
+    for other in (path / "below", "a\0b", None, 5):
+        with pytest.raises(ValueError, match=r"^path: expected a file of models, found '"):
+            load_models(other, "key")
 
 
 # ---------------------------------------------------------------------------- what is made of them

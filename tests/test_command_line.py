@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 import time
+import warnings
 from contextlib import redirect_stderr, redirect_stdout
 from itertools import product
 from pathlib import Path
@@ -303,6 +304,22 @@ def test_networks_that_are_not_given_are_learned(place):
     chosen = {"experiment": "trained"} | landing.DEFAULTS["trained"]
     result = landing.run_experiment(landing.Settings(**chosen, horizon=2, trials=2))
     assert result.trained is landing.learn(0)
+
+
+@pytest.mark.filterwarnings("always")
+def test_a_warning_is_one_line_too(place, monkeypatch):
+    def doubt(*_, **__):
+        warnings.warn("rows repeat:\nwere they logged twice?", stacklevel=2)
+        raise ValueError("residuals: expected others")
+
+    monkeypatch.setattr(landing, "run_experiment", doubt)
+    status, out, err = run(["--no-figures"])
+    assert (status, out) == (2, "")
+    assert err.splitlines() == [
+        "landing.py: warning: rows repeat: were they logged twice?",
+        "landing.py: error: residuals: expected others",
+    ]
+    assert warnings.showwarning.__module__ == "warnings"
 
 
 def test_help_says_what_every_option_is_for():

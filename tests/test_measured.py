@@ -103,6 +103,10 @@ def test_files_of_others_are_flown_too(tmp_path):
     ):
         with pytest.raises(ValueError, match=message):
             landing.run_experiment(replace(run, **changes))
+    path.write_text(path.read_text() + "\nmine,0,1,8,0.5")
+    found = r"found 1600 views, and 7 on view 0$"
+    with pytest.raises(ValueError, match=f"^residuals: expected one number of each of 6 .*{found}"):
+        landing.run_experiment(run)
     simulated = landing.run_experiment(Settings(horizon=2, trials=1))
     with pytest.raises(ValueError, match=r"^result: expected one of experiment measured"):
         landing.report_measured(simulated)

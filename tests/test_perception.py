@@ -49,6 +49,9 @@ def generator(seed=0):
     return np.random.default_rng(seed)
 
 
+SHAPE = "mean: expected shape (H, W, p) ="
+
+
 def refuses(start, function, *arguments, **options):
     """Whether the call raises ValueError with one line that starts like this."""
     with pytest.raises(ValueError) as caught:
@@ -128,9 +131,21 @@ def test_a_suite_is_a_frozen_copy(field):
         ("names", ("a", " b", "c"), "names: expected distinct"),
         ("names", ("a", "b\nb", "c"), "names: expected distinct"),
         ("names", ("a", 1, "c"), "names: expected distinct"),
-        ("names", ("a", "b"), "mean: expected shape (H, W, p) = (H, 2, p), found (2, 3, 1)"),
-        ("mean", np.zeros((3, 2, 1)), "mean: expected shape (H, W, p) = (H, 3, p), found (3, 2, 1"),
-        ("mean", np.zeros((2, 3)), "mean: expected shape (H, W, p) = (H, 3, p), found (2, 3)"),
+        (
+            "names",
+            ("a", "b"),
+            f"{SHAPE} (H, 2, p) (W = 2 as of names), found (2, 3, 1)",
+        ),
+        (
+            "mean",
+            np.zeros((3, 2, 1)),
+            f"{SHAPE} (H, 3, p) (W = 3 as of names), found (3, 2, 1",
+        ),
+        (
+            "mean",
+            np.zeros((2, 3)),
+            f"{SHAPE} (H, 3, p) (W = 3 as of names), found (2, 3)",
+        ),
         ("mean", np.zeros((0, 3, 1)), "mean: expected shape"),
         ("mean", np.full((2, 3, 1), np.nan), "mean: expected finite numbers"),
         ("mean", [[[1], [2]], [[3]]], "mean: expected a rectangular array"),
@@ -247,8 +262,9 @@ def test_picked_models_keep_their_entries(suite, data):
         (["huge"], "models: expected names among small, middle, large, or indices, found 'huge'"),
         ([0, 3], "models: expected names among small, middle, large, or indices, found 3"),
         ([-1], "models: expected names among small, middle, large, or indices, found -1"),
-        ([0, "small"], "names: expected distinct"),
-        ([], "names: expected distinct"),
+        ([0, "small"], "models: expected different names among small, middle, large, or indices"),
+        ([], "models: expected different names among small, middle, large, or indices, found []"),
+        (0, "models: expected different names among small, middle, large, or indices, found 0"),
     ],
 )
 def test_pick_refuses(models, start):
@@ -477,7 +493,10 @@ def test_a_jitter_may_be_large_and_one_of_the_two_zero():
         ({"bias": lambda w, x: 1 / (w * x - 3)}, "bias: expected finite numbers"),
         ({"spread": lambda w, x: x}, "spread: expected shape (H, W) = (2, 3), found (2, 1)"),
         ({"spread": lambda w, x: x - w}, "spread: expected numbers >= 0, found -1"),
-        ({"names": ["a", "b"]}, "mean: expected shape (H, W, p) = (H, 2, p), found (2, 3, 1)"),
+        (
+            {"names": ["a", "b"]},
+            f"{SHAPE} (H, 2, p) (W = 2 as of names), found (2, 3, 1)",
+        ),
         ({"names": "abc"}, "names: expected distinct"),
         ({"jitter": 0.2}, "jitter: expected shape (2,) = (2,), found ()"),
         ({"jitter": (0.1, -0.2), "rng": generator()}, "jitter: expected numbers >= 0, found -0.2"),
@@ -514,7 +533,7 @@ def test_textbook_suite_follows_its_formulas(signs):
 
 
 def test_textbook_suite_refuses():
-    assert refuses("at: expected shape (H,)", textbook_suite, [[1.0]], generator())
+    assert refuses("altitude: expected shape (H,)", textbook_suite, [[1.0]], generator())
     assert refuses(
         "upsilon: expected a number >= 0", textbook_suite, [1.0], generator(), "same", -1
     )
@@ -862,8 +881,10 @@ def test_read_residuals_refuses_unknown_models_and_bad_paths(tmp_path):
     assert refuses("names: expected distinct", read_residuals, path, ["a", "z", "z"])
     for path in (tmp_path, tmp_path / "none.csv"):
         assert refuses(f"{path}: cannot be read as a CSV file: [Errno", read_residuals, path)
-    with pytest.raises(OSError):
-        write_residuals(tmp_path, some_residuals())
+    assert refuses("None: cannot be read as a CSV file: expected str", read_residuals, None)
+    for path in (tmp_path, tmp_path / "none" / "file.csv", None, "a\0b"):
+        start = f"path: expected one that can be written, found {path}: "
+        assert refuses(start, write_residuals, path, some_residuals())
 
 
 ALONE = """

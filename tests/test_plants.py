@@ -40,6 +40,8 @@ def test_a_continuous_plant_does_not_pass_for_a_discrete_one():
     ControlTask.from_statespace(discrete, C, *COST, dt=0.5)
     with pytest.raises(ValueError, match=r"^dt: expected that of the discrete system, 0\.5, found"):
         ControlTask.from_statespace(discrete, C, *COST, dt=0.1)
+    with pytest.raises(ValueError, match=r"^dt: expected real numbers, found"):
+        ControlTask.from_statespace(discrete, C, *COST, dt="0.5 s")
     for other in (A, (A, B, C), "plant", scipy.signal.TransferFunction([1], [1, 2])):
         with pytest.raises(ValueError, match=r"^system: expected a StateSpace with A, B and dt, f"):
             ControlTask.from_statespace(other, C, *COST, dt=0.1)
@@ -72,6 +74,71 @@ def test_semidefinite_matrices_in_single_precision_are_taken(seed, k, rank):
     suite = PerceptionSuite(["a", "b"], np.zeros((1, 2, k)), variance, [0, 1])
     SelectionProblem(S, suite.mean, variance, suite.cost)
     assert np.linalg.eigvalsh(task.Q).min() >= -1e-12 * np.abs(S).max()
+
+
+class Tensor:
+    """An array of another library, with a dtype of its own."""
+
+    dtype = "float32"
+
+    def __init__(self, array):
+        self.array = array
+
+    def __array__(self, dtype=None, copy=None):
+        return self.array
+
+
+@pytest.mark.parametrize("form", [list, Tensor])
+def test_single_precision_is_known_whatever_holds_it(form):
+    one, refused = np.ones((4, 1)), 0
+    for seed in range(20):
+        F = np.random.default_rng(seed).normal(size=(4, 2))
+        S = np.float32(F @ F.T)
+        assert ControlTask(np.eye(4), one, one, form(S), [[1]], 2).Q.shape == (4, 4)
+        try:
+            ControlTask(np.eye(4), one, one, S.astype(float), [[1]], 2)
+        except ValueError:
+            refused += 1
+    assert refused > 5  # in double precision these would be digits that are wrong
+
+
+def test_cross_terms_and_correlations_in_single_precision_are_taken():
+    for seed in range(20):
+        F = np.float32(np.random.default_rng(seed).normal(size=(2, 4)))
+        C, D = F[:, :3], F[:, 3:]
+        one = np.ones((3, 1))
+        task = ControlTask(np.eye(3), one, one, C.T @ C, D.T @ D, 3, N=C.T @ D)  # |Cx + Du|^2
+        np.testing.assert_allclose(task.Q, C.T @ C, rtol=1e-4, atol=1e-5)
+        assert np.isfinite(ms.psi(task)).all()
+        size = np.linalg.norm(F, axis=0)
+        R = F.T @ F / np.outer(size, size)
+        np.fill_diagonal(R, 1)
+        assert ms.persistent_bias(np.ones(4), np.ones((2, 4, 1)), correlation=R).shape[0] == 2
+        ms.autoregressive_errors(np.ones((2, 4, 1)), 0.5, correlation=R)
+        joint = np.kron(R, np.ones((2, 2), dtype=np.float32))  # four models, errors as at step 0
+        joint = joint.reshape(4, 2, 4, 2).transpose(1, 0, 3, 2)
+        problem = SelectionProblem(np.eye(2), np.zeros((2, 4, 1)), np.ones((2, 4, 1)), np.arange(4))
+        ms.correlated_problem(problem, joint)
+
+
+def test_a_cross_term_with_few_digits_is_told_what_to_do():
+    Q, N = [[1, 0.7], [0.7, 0.49]], [[1], [0.7001]]
+    with pytest.raises(ValueError, match=r"^N: expected \[\[Q, N\].*nearest_semidefinite of it$"):
+        ControlTask(np.eye(2), B, C, Q, [[1]], 3, N=N)
+
+
+def test_the_nearest_of_huge_matrices_does_not_overflow():
+    huge = np.full((2, 2), 1.5e308)
+    np.testing.assert_allclose(ms.nearest_semidefinite(huge), huge)
+
+
+def test_a_correlation_that_was_mended_is_told_how_to_get_its_ones_back():
+    mended = ms.nearest_semidefinite([[1, 0.8, 0.1], [0.8, 1, 0.7], [0.1, 0.7, 1]])
+    given = np.ones(3), np.ones((2, 3, 1))
+    with pytest.raises(ValueError, match=r"^correlation: expected 1 on the diagonal d, found 1\.0"):
+        ms.persistent_bias(*given, correlation=mended)
+    d = mended.diagonal()
+    ms.persistent_bias(*given, correlation=mended / np.sqrt(np.outer(d, d)))
 
 
 @given(SEEDS, st.integers(2, 5), st.integers(2, 6))
@@ -114,11 +181,30 @@ def test_the_nearest_semidefinite_matrix_is_nearer_than_any_other(seed, k):
         ({"C": np.ones((3, 2))}, "C: expected shape (n, p) = (2, p) (n = 2 as of A), found (3, 2)"),
         (
             {"B": [0, 1]},
-            "B: expected shape (n, m) = (2, m) (n = 2 as of A), found (2,); a single column has "
-            "shape (2, 1)",
+            "B: expected shape (n, m) = (2, m) (n = 2 as of A), found (2,); did you mean "
+            "np.reshape(B, (2, 1))?",
+        ),
+        (
+            {"C": [[0, 1]]},  # a row
+            "C: expected shape (n, p) = (2, p) (n = 2 as of A), found (1, 2); did you mean "
+            "np.reshape(C, (2, 1))?",
+        ),
+        ({"B": [0, 1, 2]}, "B: expected shape (n, m) = (2, m) (n = 2 as of A), found (3,)"),
+        (
+            {"N": [0, 0]},
+            "N: expected shape (n, m) = (2, 1) (n = 2 as of A, m = 1 as of B), found (2,); did you "
+            "mean np.reshape(N, (2, 1))?",
+        ),
+        (
+            {"Q_final": np.eye(3)},
+            "Q_final: expected shape (n, n) = (2, 2) (n = 2 as of A), found (3, 3)",
         ),
         ({"A": [0, 1]}, "A: expected shape (n, n) = (2, 2), found (2,)"),
-        ({"R": 1.0}, "R: expected shape (m, m) = (1, 1) (m = 1 as of B), found ()"),
+        (
+            {"R": 1.0},
+            "R: expected shape (m, m) = (1, 1) (m = 1 as of B), found (); did you mean "
+            "np.reshape(R, (1, 1))?",
+        ),
         ({"A": [[1, np.nan], [0, 1]]}, "A: expected finite numbers, found nan at [0, 1]"),
     ],
 )

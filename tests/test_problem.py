@@ -785,7 +785,10 @@ BAD = {
         ({"C": np.ones((1, 3))}, "C: expected shape (n, p) = (3, p) (n = 3 as of A), found (1, 3)"),
         ({"Q": np.eye(2)}, "Q: expected shape (n, n) = (3, 3) (n = 3 as of A), found (2, 2)"),
         ({"R": np.eye(3)}, "R: expected shape (m, m) = (2, 2) (m = 2 as of B), found (3, 3)"),
-        ({"Q_final": np.ones((4, 3, 3))}, "Q_final: expected shape (n, n) = (3, 3), found (4, 3"),
+        (
+            {"Q_final": np.ones((4, 3, 3))},
+            "Q_final: expected shape (n, n) = (3, 3) (n = 3 as of A), found (4, 3, 3)",
+        ),
         ({"horizon": 0}, "horizon: expected an integer >= 1, found 0"),
         ({"horizon": -3}, "horizon: expected an integer >= 1, found -3"),
         ({"horizon": 1.5}, "horizon: expected an integer >= 1, found 1.5"),
