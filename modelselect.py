@@ -335,7 +335,7 @@ def _own_weights(problem: SelectionProblem, relaxation: Relaxation) -> Relaxatio
     multiplier = relaxation.multiplier if problem.budget is not None else 0.0
     d = trellis.mixed(problem.mean, b)
     bound = _certificate(problem, d, multiplier).bound
-    return relaxation._replace(reference=d, bound=bound, multiplier=multiplier)
+    return replace(relaxation, reference=d, bound=bound, multiplier=multiplier)
 
 
 def relax(

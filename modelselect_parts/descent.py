@@ -7,22 +7,15 @@ side is a lower bound, and value - bound a certificate (Frank and Wolfe 1956).
 from __future__ import annotations
 
 import math
-from collections import namedtuple
-from collections.abc import Callable, Iterable
-from typing import Any, Self
+from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 import scipy.linalg as la
 
-from modelselect_parts.checks import (
-    Array,
-    check_array,
-    check_count,
-    check_function,
-    check_number,
-    frozen,
-)
+from modelselect_parts.checks import Array, check_array, check_count, check_function, check_number
+from modelselect_parts.objects import Record
 
 
 def relative_gap(value: float, bound: float) -> float:
@@ -30,33 +23,16 @@ def relative_gap(value: float, bound: float) -> float:
     return 0.0 if value <= bound else (value - bound) / max(abs(value), abs(bound))
 
 
-class Relaxation(namedtuple("_Point", "weights reference value bound iterations multiplier")):
-    """A point of the convex relaxation (see `modelselect.relax`); nobody can change its arrays."""
+@dataclass(frozen=True, eq=False)
+class Relaxation(Record):
+    """A point of the convex relaxation (see `modelselect.relax`)."""
 
-    __slots__ = ()
     weights: Array  #: (H, W), each row on the simplex
     reference: Array  #: (pH,), the mean error d_t = sum_w b[t,w] mu[t,w]
     value: float  #: objective at `weights`
     bound: float  #: LB(reference, multiplier), a lower bound on every schedule
     iterations: int  #: iterations of the method
-    multiplier: float  #: lam, the price of one unit of budget
-
-    def __new__(
-        cls,
-        weights: Array,
-        reference: Array,
-        value: float,
-        bound: float,
-        iterations: int,
-        multiplier: float = 0.0,
-    ) -> Self:
-        """Freeze the arrays; a copy passes here, too."""
-        arrays = frozen(np.asarray(weights)), frozen(np.asarray(reference))
-        return super().__new__(cls, *arrays, value, bound, iterations, multiplier)
-
-    @classmethod
-    def _make(cls, values: Iterable[Any]) -> Self:  # type: ignore[override]  # for `_replace`
-        return cls(*values)
+    multiplier: float = 0.0  #: lam, the price of one unit of budget
 
     @property
     def gap(self) -> float:

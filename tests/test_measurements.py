@@ -1,5 +1,6 @@
 """Files of residuals, good and bad, and what is asked of rows before anybody trusts them."""
 
+import csv
 import math
 import time
 import warnings
@@ -130,17 +131,18 @@ def test_a_bad_line_is_found_by_halving(tmp_path, monkeypatch):
 
 
 @pytest.mark.unmutated
-def test_a_million_rows_take_less_than_three_seconds_of_a_processor(tmp_path):
+def test_a_million_rows_are_checked_in_little_more_than_it_takes_to_split_them(tmp_path):
     path, numbers = tmp_path / "residuals.csv", np.random.default_rng(0).normal(size=(10**6, 2))
     rows = (f"m{i % 8},{x:.5f},{y:.5f}\n" for i, (x, y) in enumerate(numbers))
     path.write_text("model,altitude,residual\n" + "".join(rows))
-    seconds = []
-    while len(seconds) < 3 and min(seconds, default=9) > 3:  # others may be at work
-        start = time.process_time()
-        residuals = read_residuals(path, resolution=1e-5)
-        seconds.append(time.process_time() - start)
+    start = time.process_time()
+    with path.open(newline="") as file:
+        plain = [(w, float(x), float(y)) for w, x, y in list(csv.reader(file))[1:]]
+    least, start = time.process_time() - start, time.process_time()
+    residuals = read_residuals(path, resolution=1e-5)
+    assert time.process_time() - start < 5 * least
+    assert residuals.residual[-1] == plain[-1][2]
     np.testing.assert_allclose(residuals.residual, numbers[:, 1], atol=6e-6)
-    assert min(seconds) < 3
 
 
 def test_many_columns_are_not_taken_for_other_separators(tmp_path):

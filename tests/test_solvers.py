@@ -702,8 +702,8 @@ def test_enumeration_keeps_the_best_of_several_blocks():
 
 def test_the_gap_of_a_relaxation_is_zero_where_value_and_bound_meet():
     point = ms.relax_interior_point(known_suite(0, H=3))
-    assert point._replace(value=1.0, bound=1.0).gap == 0
-    assert point._replace(value=2.0, bound=1.0).gap == 0.5
+    assert replace(point, value=1.0, bound=1.0).gap == 0
+    assert replace(point, value=2.0, bound=1.0).gap == 0.5
 
 
 @pytest.mark.parametrize(
