@@ -21,7 +21,6 @@ import sliders
 
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parent
-GOALS = "**After this notebook you can**"
 SLIDES = "Slides: all figures"
 Neighbour = tuple[str, str] | None  # file and title of the page before or after
 
@@ -132,15 +131,19 @@ def title_of(source: str) -> str:
     return source.splitlines()[0].strip("# ")
 
 
+def pictures(cell: NotebookNode) -> list[NotebookNode]:
+    """Return the outputs of a cell that are pictures."""
+    return [out for out in cell.get("outputs", []) if "image/png" in out.get("data", {})]
+
+
 def contents(notebooks: dict[str, NotebookNode]) -> str:
     """List the chapters, each with what a reader can do after it."""
     lines = ["## Chapters, and what you can do after each"]
     for name, notebook in notebooks.items():
         first = notebook.cells[0].source
-        goals = first.partition(GOALS)[2].partition("**Covers**")[0]
-        bullets = re.findall(r"^[-*] .*(?:\n .*)*", goals, re.MULTILINE)
-        lines += [f"\n### [{title_of(first)}]({name}.ipynb)\n", *bullets]
-    return markdown("\n".join(lines))
+        goals = first.partition("**After this notebook you can**")[2].partition("**Covers**")[0]
+        lines.append(f"### [{title_of(first)}]({name}.ipynb)\n{goals}")
+    return markdown("\n\n".join(lines))
 
 
 def slide_show(notebooks: dict[str, NotebookNode]) -> str:
@@ -152,17 +155,17 @@ def slide_show(notebooks: dict[str, NotebookNode]) -> str:
         for cell in notebook.cells:
             if cell.cell_type == "markdown":
                 heading = [heading, *re.findall(r"^##+ (.*)", cell.source, re.MULTILINE)][-1]
-            for output in cell.get("outputs", []):
-                if picture := output.get("data", {}).get("image/png"):
-                    figures.append((source, heading, picture.strip(), escape(cell.metadata.alt)))
+            for picture in pictures(cell):
+                data, alt = picture.data["image/png"].strip(), escape(cell.metadata.alt)
+                figures.append((source, heading, data, alt))
     slides, count = [], len(figures)
-    for k, (source, heading, picture, alt) in enumerate(figures, 1):
+    for k, (source, heading, data, alt) in enumerate(figures, 1):
         title = markdown(heading).strip().removeprefix("<p>").removesuffix("</p>")
         slides.append(f"""<section class="slide">
 <p><a href="#{max(k - 1, 1)}">← Back</a> {k} of {count}
 <a href="#{min(k + 1, count)}">On →</a> {source}</p>
 <h2 tabindex="-1" id="{k}">{title}</h2>
-<figure><img src="data:image/png;base64,{picture}" alt="{alt}">
+<figure><img src="data:image/png;base64,{data}" alt="{alt}">
 <figcaption aria-hidden="true">{alt}</figcaption></figure>
 </section>""")
     return f"""<h1>{SLIDES}</h1>
@@ -218,6 +221,7 @@ def page(title: str, body: str, before: Neighbour, after: Neighbour) -> str:
     """Wrap a body in a page that needs no other file, and that fetches nothing."""
     parts = re.findall(r'<h2 id="([^"]+)">(.*?)</h2>', body)
     links = "".join(f'<li><a href="#{anchor}">{text}</a></li>' for anchor, text in parts)
+    on_page = f'<nav aria-label="On this page"><ul>{links}</ul></nav>' if links else ""
     turn = f'<a rel="prev" href="{before[0]}">← {escape(before[1])}</a>' if before else ""
     turn += f'<a rel="next" href="{after[0]}">{escape(after[1])} →</a>' if after else ""
     code = HtmlFormatter(style="xcode").get_style_defs(".highlight")
@@ -235,8 +239,7 @@ img-src data:; style-src 'unsafe-inline'; script-src 'unsafe-inline'">
 </head>
 <body>
 <a class="skip" href="#main">Skip to the text</a>
-<header><a href="index.html">Contents</a>
-<nav aria-label="On this page"><ul>{links}</ul></nav></header>
+<header><a href="index.html">Contents</a>{on_page}</header>
 <main id="main">
 {body}
 </main>

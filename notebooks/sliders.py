@@ -22,15 +22,7 @@ from numpy.typing import ArrayLike
 from scipy.spatial import ConvexHull
 
 import landing
-from modelselect import (
-    ControlTask,
-    Schedule,
-    SelectionProblem,
-    check_certificate,
-    psi,
-    run_controller,
-    solve,
-)
+import modelselect as ms
 from perception import sample_errors
 
 RATIOS = [(1, 2**k) for k in range(6, 0, -1)] + [(2**k, 1) for k in range(10)]  # alpha : beta
@@ -49,55 +41,48 @@ def drone() -> landing.Result:
     return landing.run_experiment(landing.Settings(preset="textbook", trials=1))
 
 
-def landing_problem(alpha: float, beta: float) -> SelectionProblem:
+def landing_problem(alpha: float, beta: float) -> ms.SelectionProblem:
     """Weigh control against perception; the weights are scaled to add up to 1."""
     whole = alpha + beta
     return replace(drone().problem, alpha=alpha / whole, beta=beta / whole)
 
 
-@cache
-def boat() -> ControlTask:
-    """Hold a boat at its mooring for 8 s in 40 steps; waves displace it (notebook 1)."""
-    A, B, C = [[1, 0.2], [-0.2, 0.95]], [[0], [0.2]], [[0.2], [0]]
-    return ControlTask(A, B, C, np.diag([1, 0]), [[0.1]], 40)
+#: A boat, held at its mooring for 8 s in 40 steps; waves displace it (notebook 1).
+BOAT = ms.ControlTask(
+    [[1, 0.2], [-0.2, 0.95]], [[0], [0.2]], [[0.2], [0]], np.diag([1, 0]), [[0.1]], 40
+)
 
 
-@cache
-def boat_psi() -> np.ndarray:
-    """Return what the boat's errors cost if it acts on a forecast."""
-    return psi(boat(), "preview")
-
-
-def boat_problem(bias: float, noise: float) -> SelectionProblem:
+def boat_problem(bias: float, noise: float) -> ms.SelectionProblem:
     """Choose between a biased model and a noisy one, both free (m/s)."""
     mean = np.tile([[bias], [0.0]], (40, 1, 1))
     variance = np.tile([[0.0], [noise**2]], (40, 1, 1))
-    return SelectionProblem(boat_psi(), mean, variance, [0, 0])
+    return ms.SelectionProblem(ms.psi(BOAT, "preview"), mean, variance, [0, 0])
 
 
 @cache
-def cart_problem(toll: float = 0.0) -> SelectionProblem:
+def cart_problem(toll: float = 0.0) -> ms.SelectionProblem:
     """Steer a cart for 2 s in 20 steps with four models; a change of model costs the toll."""
     A, B, C = [[1, 0.1], [0, 1]], [[0], [0.1]], [[0.1], [0]]
-    task = ControlTask(A, B, C, np.eye(2), [[0.1]], 20)
+    task = ms.ControlTask(A, B, C, np.eye(2), [[0.1]], 20)
     mean = np.tile([[0.6], [-0.4], [0.2], [0.05]], (20, 1, 1))
     variance = np.tile([[0.16], [0.09], [0.04], [0.01]], (20, 1, 1))
     cost = 0.02 * np.array([0, 1, 2, 4])
-    return SelectionProblem(
-        psi(task, "preview"), mean, variance, cost, switch_cost=toll * (1 - np.eye(4))
+    return ms.SelectionProblem(
+        ms.psi(task, "preview"), mean, variance, cost, switch_cost=toll * (1 - np.eye(4))
     )
 
 
-def budget_problem(budget: float) -> SelectionProblem:
+def budget_problem(budget: float) -> ms.SelectionProblem:
     """Steer the cart as well as the budget allows, with prices in whole units."""
     free = replace(cart_problem(), switch_cost=None, alpha=1.0, beta=0.0)
     return replace(free, model_cost=[0.0, 1.0, 2.0, 4.0], budget=budget)
 
 
-def proved(problem: SelectionProblem) -> Schedule:
+def proved(problem: ms.SelectionProblem) -> ms.Schedule:
     """Return the optimum, or refuse what is not proved."""
-    schedule = solve(problem)
-    check_certificate(problem, schedule)
+    schedule = ms.solve(problem)
+    ms.check_certificate(problem, schedule)
     if not schedule.is_optimal:
         raise ValueError(f"sliders: a gap of {schedule.gap:.1e} is left, so this is no optimum")
     return schedule
@@ -124,7 +109,8 @@ class Panel:
         with mpl.rc_context(landing.STYLE):
             self.above = self.figure.add_axes((0.1, 0.44, 0.88, 0.53))
             self.below = self.figure.add_axes((0.1, 0.11, 0.88, 0.18))
-        self.below.set(xlim=(0, steps), ylim=(0, len(names) - 1), xlabel="step")
+        ticks = range(0, steps + 1, steps // 5)
+        self.below.set(xlim=(0, steps), xticks=ticks, ylim=(0, len(names) - 1), xlabel="step")
         labelled = range(0, len(names), 1 + len(names) // 5)
         self.below.set_yticks(labelled, [names[k] for k in labelled])
 
@@ -135,10 +121,10 @@ class Panel:
         points = (f"{a:.1f} {HEIGHT - b:.1f}" for a, b in chart.transData.transform(within))
         return f'<path class="{kind}" d="M{"L".join(points)}"/>'
 
-    def add(self, best: Schedule, facts: dict[str, str], picture: str) -> None:
+    def add(self, best: ms.Schedule, facts: dict[str, str], picture: str) -> None:
         """Add the next position: to its picture when which model runs, to its facts how often."""
         time, models = np.repeat(np.arange(self.steps + 1), 2)[1:-1], np.repeat(best.choices, 2)
-        picture += self.path("line stairs", time, models, self.below)
+        picture += self.path("stairs", time, models, self.below)
         counts = np.bincount(best.choices, minlength=len(self.names))
         used = ", ".join(f"{name} {n}" for name, n in zip(self.names, counts, strict=True) if n)
         self.frames.append({"picture": picture, "facts": facts | {"steps by model": used}})
@@ -146,8 +132,8 @@ class Panel:
     def svg(self) -> str:
         """Write the charts, with a group for what moves."""
         file = StringIO()
-        with mpl.rc_context({"svg.fonttype": "none"}):
-            self.figure.savefig(file, format="svg", transparent=True, metadata={"Date": None})
+        with mpl.rc_context({"svg.fonttype": "none", "svg.hashsalt": self.key}):
+            self.figure.savefig(file, format="svg", metadata={"Date": None})
         shown = f"{self.above.get_ylabel()} over {self.above.get_xlabel()}"
         label = f"{shown}, and model in use over {self.steps} steps"
         svg = file.getvalue().partition("<svg")[2].rpartition("</svg>")[0]
@@ -233,7 +219,7 @@ def errors_panel() -> Panel:
     )
     panel.above.set(xlim=(0, 8), xlabel="time (s)", ylim=(-0.5, 0.5), ylabel="position (m)")
     time, pushes = np.linspace(0, 8, 41), np.eye(40)[:, :, None]
-    moved = run_controller(boat(), [0, 0], 0 * pushes, pushes, "preview")[0][..., 0]
+    moved = ms.run_controller(BOAT, [0, 0], 0 * pushes, pushes, "preview")[0][..., 0]
     there_and_back = np.concatenate([time, time[::-1]])
     for bias, noise in product(BIASES, NOISES):
         problem = boat_problem(bias, noise)
@@ -293,7 +279,7 @@ def corners(points: list[tuple[float, float]]) -> list[tuple[float, float]]:
 
 
 @cache
-def front() -> tuple[list[Schedule], list[tuple[float, float]]]:
+def front() -> tuple[list[ms.Schedule], list[tuple[float, float]]]:
     """Return the optimum at each budget, and what it spends beside its control cost."""
     optima = [proved(budget_problem(budget)) for budget in range(LARGEST_BUDGET + 1)]
     spent = (budget_problem(LARGEST_BUDGET).perception_term(best.choices) for best in optima)
