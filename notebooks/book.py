@@ -13,7 +13,7 @@ from pathlib import Path
 
 from latex2mathml.converter import convert
 from nbconvert import HTMLExporter
-from nbconvert.filters.markdown_mistune import IPythonRenderer, MarkdownWithMath, MathInlineParser
+from nbconvert.filters.markdown_mistune import IPythonRenderer, MarkdownWithMath
 from nbformat import NotebookNode
 from pygments.formatters import HtmlFormatter
 
@@ -49,14 +49,6 @@ def mathml(tex: str, display: str) -> str:
         reason = " ".join(unknown) or "unbalanced braces"
         raise ValueError(f"cannot convert the formula {tex!r}: {reason}")
     return re.sub(r"<mi>(&#x0(?:2A..|27F.|00B1|007E);)</mi>", r"<mo>\1</mo>", result)
-
-
-class Inline(MathInlineParser):
-    """Dollars enclose a formula if no space is inside and no digit follows: $5 is an amount."""
-
-    SPECIFICATION = MathInlineParser.SPECIFICATION | {
-        "inline_math_tex": r"(?<![$\\])\$(?=\S)(?P<math_inline_tex>[^$`]+?)(?<=[^\s\\])\$(?![\d$])"
-    }
 
 
 class Renderer(IPythonRenderer):
@@ -96,7 +88,7 @@ class Renderer(IPythonRenderer):
 def markdown(source: str, folder: Path = HERE) -> str:
     """Render Markdown; pictures from files in the folder are embedded."""
     renderer = Renderer(escape=False, embed_images=True, path=str(folder))
-    return MarkdownWithMath(renderer, inline=Inline()).render(source)
+    return MarkdownWithMath(renderer).render(source)
 
 
 # --- notebooks ---

@@ -108,6 +108,19 @@ def test_no_page_loads_anything_and_each_link_leads_somewhere(pages):
     assert not dead_links(pages)
 
 
+def raw_markup(html: str) -> list[str]:
+    """List what is left of formulas and Markdown in the text of a page."""
+    soup = pytest.importorskip("bs4").BeautifulSoup(html, "html.parser")
+    for tag in soup.find_all(["code", "pre", "script", "style"]):
+        tag.decompose()
+    return re.findall(r"\$.*|\\\w+|\*\*.*", soup.get_text())
+
+
+def test_every_formula_is_drawn(pages):
+    assert not {file: found for file, html in pages.items() if (found := raw_markup(html))}
+    assert raw_markup("<p>$a</p><ul><li>b$</li></ul>")  # cut in two by a line that opens a list
+
+
 @pytest.mark.parametrize(
     "html",
     [
