@@ -78,7 +78,7 @@ notebooks-check: $(if $(NOTEBOOKS),$(VENV)/.notebooks) ## fail if a notebook is 
 book: $(if $(NOTEBOOKS),$(VENV)/.notebooks) ## the notebooks as a web book that works offline
 	$(if $(NOTEBOOKS),$(BIN)/python $(NOTEBOOKS) --book $(ARGS),@echo "no notebooks yet")
 
-# Skipped, with the reason, where the system has no Chromium or no chromedriver.
+# What needs a browser is skipped, with the reason, where there is no Chromium or no chromedriver.
 book-check: $(VENV)/.browser ## open the book in a browser: no error, sliders move, nothing is fetched
 	$(BIN)/python -m pytest tests/test_book.py -rs $(ARGS)
 

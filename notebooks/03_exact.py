@@ -155,8 +155,9 @@ print(f"r / Delta, a row for each model; {left} schedules left:\n{(reduced / roo
 #
 # $$\rho + \sqrt{\Delta - x_j} \le \sqrt{\Delta - x_i}, \qquad \rho = |y_i - y_j| .$$
 #
-# Squared, this says $x_i + \rho^2 + 2\rho\sqrt{\Delta - x_j} \le x_j$, and as $|y_i + v| \le |y_j
-# + v| + \rho$, every $v$ in the ball of $j$ gives $x_i + |y_i + v|^2 \le x_j + |y_j + v|^2$.
+# Squared, this says $x_i + \rho^2 + 2\rho\sqrt{\Delta - x_j} \le x_j$, and as
+# $|y_i + v| \le |y_j + v| + \rho$, every $v$ in the ball of $j$ gives
+# $x_i + |y_i + v|^2 \le x_j + |y_j + v|^2$.
 #
 # The distance needs no $y$: $\rho^2 = (q_i - q_j)^\top F_t (q_i - q_j)$, where $F_0 = 0$, $F_{t+1} =
 # B S_t^{-1} B^\top + (A - BK_t) F_t (A - BK_t)^\top$ sums up what all earlier steps feel.

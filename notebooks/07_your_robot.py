@@ -41,8 +41,9 @@ path = {"altitude": 80 - 1.4 * np.arange(H)}  # ft, at 7 ft/s
 #
 # A robot on a line, $x_{t+1} = x_t + u_t$, $Q = R = 1$, $H = 2$, whose filter believes half of
 # what a measurement says against its expectation: gain $\Gamma = \frac12$. An error $e_0$ puts the
-# belief off by $\xi_0 = \frac12 e_0$. At the next step half of that is left: $\xi_1 = \frac14 e_0
-# + \frac12 e_1$. Wrong beliefs make wrong commands, which cost $0.9\,\xi_0^2 + 0.5\,\xi_1^2$, so
+# belief off by $\xi_0 = \frac12 e_0$. At the next step half of that is left:
+# $\xi_1 = \frac14 e_0 + \frac12 e_1$. Wrong beliefs make wrong commands, which cost
+# $0.9\,\xi_0^2 + 0.5\,\xi_1^2$, so
 #
 # $$e^\top \Psi e = 0.256\, e_0^2 + 0.125\, e_0 e_1 + 0.125\, e_1^2 .$$
 #

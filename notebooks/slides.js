@@ -1,35 +1,17 @@
-// One figure at a time; arrow keys, Page Up and Down, Home and End turn.  Without it, all are seen.
+// Arrow keys, Page Up and Down, Home and End turn to a slide; book.css shows the one in the address.
 "use strict";
-(() => {
-  const slides = [...document.querySelectorAll(".slide")];
-  const count = document.querySelector(".turner output");
-  let here = 0;
-
-  const show = (place) => {
-    here = Math.min(Math.max(place, 0), slides.length - 1);
-    slides.forEach((slide, k) => slide.classList.toggle("now", k === here));
-    count.textContent = `${here + 1} of ${slides.length}`;
-    history.replaceState(null, "", `#${slides[here].id}`); // so that a reload stays here
-  };
-  const turn = (place) => {
-    show(place);
-    slides[here].querySelector("h2").focus(); // a screen reader goes on from the title
-  };
-  const linked = () => slides.findIndex((slide) => `#${slide.id}` === location.hash);
-  const keys = {
-    ArrowRight: () => here + 1, ArrowDown: () => here + 1, PageDown: () => here + 1,
-    ArrowLeft: () => here - 1, ArrowUp: () => here - 1, PageUp: () => here - 1,
-    Home: () => 0, End: () => slides.length - 1,
-  };
-  addEventListener("keydown", (event) => {
-    if (event.altKey || event.ctrlKey || event.metaKey || !keys[event.key]) return;
-    event.preventDefault();
-    turn(keys[event.key]());
-  });
-  addEventListener("hashchange", () => { if (linked() >= 0) turn(linked()); });
-  const [back, on] = document.querySelectorAll(".turner button");
-  back.addEventListener("click", () => show(here - 1));
-  on.addEventListener("click", () => show(here + 1));
-  document.body.classList.add("talk");
-  show(Math.max(linked(), 0));
-})();
+const slides = [...document.querySelectorAll(".slide h2")];
+const keys = {
+  ArrowRight: 1, ArrowDown: 1, PageDown: 1, ArrowLeft: -1, ArrowUp: -1, PageUp: -1,
+  Home: -Infinity, End: Infinity,
+};
+function turn(by) {
+  const place = slides.findIndex((slide) => `#${slide.id}` === location.hash) + by;
+  location.replace(`#${slides[Math.min(Math.max(place, 0), slides.length - 1)].id}`);
+}
+addEventListener("keydown", (event) => {
+  if (!(event.key in keys) || event.altKey || event.ctrlKey || event.metaKey) return;
+  event.preventDefault();
+  turn(keys[event.key]);
+});
+turn(0);

@@ -168,12 +168,13 @@ def test_a_check_says_which_exercise_it_is_about_and_is_not_run(name):
 
 @each_notebook
 def test_every_picture_is_described_in_words(name):
-    shown = [(cell, out) for cell, out in outputs(name) if "image/png" in out.get("data", {})]
-    assert shown
-    for cell, output in shown:
-        alt = output["metadata"]["image/png"]["alt"]
-        assert len(alt.split()) >= 8
-        assert alt == cell["metadata"]["alt"]
+    described = [cell["metadata"]["alt"] for cell in cells(name) if "alt" in cell["metadata"]]
+    assert described
+    assert all(len(alt.split()) >= 8 for alt in described)
+    for cell in cells(name):
+        shown = [out for out in cell.get("outputs", []) if "image/png" in out.get("data", {})]
+        alts = [picture["metadata"]["image/png"]["alt"] for picture in shown]
+        assert alts == ([cell["metadata"]["alt"]] if "alt" in cell["metadata"] else []), cell["id"]
 
 
 @each_notebook
@@ -350,38 +351,12 @@ PICTURE = {
     "data": {"image/png": "aGk=", "text/plain": "<Figure size 640x480 with 1 Axes>"},
     "metadata": {"image/png": {"alt": "words"}},
 }
-WARNING = {"output_type": "stream", "name": "stderr", "text": "Warning: old"}
-ADDRESS = {"output_type": "stream", "name": "stdout", "text": "<Line2D at 0x7f5a>"}
-
-
-@pytest.mark.parametrize(
-    ("outputs", "metadata", "finding"),
-    [
-        ([PICTURE], {}, "a picture but no alt"),
-        ([], {"alt": "words"}, "alt but no picture"),
-        ([PICTURE], {"alt": "other words"}, "not with the picture"),
-        ([PICTURE, PICTURE], {"alt": "words"}, "2 pictures"),
-        ([WARNING], {}, "Warning: old"),
-        ([ADDRESS], {}, "address"),
-        ([{**ADDRESS, "text": "1"}], {"tags": ["exercise"]}, "must show nothing"),
-    ],
-)
-def test_what_a_cell_must_not_show_is_found(build, outputs, metadata, finding):
-    notebook = build.new_notebook(cells=[code_cell(build, outputs, **metadata)])
-    (found,) = build.inspect(notebook)
-    assert finding in found
-    assert "01-x-001" in found
-
-
-def test_a_picture_with_its_words_is_in_order(build):
-    assert not [
-        *build.inspect(build.new_notebook(cells=[code_cell(build, [PICTURE], alt="words")]))
-    ]
 
 
 def test_a_change_is_shown_as_a_difference(build):
+    printed = {"output_type": "stream", "name": "stdout"}
     before, after = (
-        build.new_notebook(cells=[code_cell(build, [{**ADDRESS, "text": text}])])
+        build.new_notebook(cells=[code_cell(build, [{**printed, "text": text}])])
         for text in ("cost 1.0\nproved\n", "cost 1.0\nnot proved\n")
     )
     (found,) = build.changes(before, after)
@@ -397,10 +372,9 @@ def test_a_change_is_shown_as_a_difference(build):
         ("- item $x$\n- other", ["<math"]),
         ("| a |\n|---|\n| $\\frac12$ |", ["<mfrac>"]),
         ("<details><summary>q</summary>\n\n$x$\n\n</details>", ["</math></p>\n</details>"]),
-        (r"\$5 and `$x$`, $5 to $6", ["<p>$5 and <code>$x$</code>, $5 to $6</p>"]),
     ],
 )
-def test_formulas_become_mathml_and_money_stays(book, text, html):
+def test_formulas_become_mathml(book, text, html):
     assert any(part in book.markdown(text) for part in html)
 
 
@@ -410,39 +384,16 @@ def test_a_formula_that_cannot_be_converted_is_named(book, tex):
         book.mathml(tex, "inline")
 
 
-@pytest.mark.parametrize(
-    "html",
-    [
-        '<script src="https://x.org/a.js"></script>',
-        "<img src=//x.org/a.png>",
-        '<img src="figures/a.png">',
-        '<link rel="stylesheet" href="http://x.org/a.css">',
-        "<style>@import 'https://x.org/a.css';</style>",
-        '<p style="background: url(https://x.org/a.png)">',
-    ],
-)
-def test_a_page_that_loads_anything_is_found(book, html):
-    assert book.loads(html)
-    assert [*book.flaws({"a.html": html})]
-
-
 def test_hidden_code_is_folded_and_its_picture_is_not(build, book):
     cell = code_cell(build, [PICTURE], alt="words", tags=["hide-input"])
-    html = book.render("01_x", build.new_notebook(cells=[cell]))
+    html = book.render(build.new_notebook(cells=[cell]))
     folded, _, rest = html.partition("</details>")
     assert "highlight" in folded.partition("<summary>")[2]
     assert "<img" in rest and "<img" not in folded
 
 
-def test_links_that_the_reader_may_follow_load_nothing(book):
-    html = '<a href="https://x.org">x</a><a href="#here">y</a><p id="here"><img src="data:,">'
-    assert not [*book.flaws({"a.html": html})]
-    assert [*book.flaws({"a.html": html.replace("#here", "#there")})]
-
-
 def test_a_page_is_whole_and_told_to_load_nothing(book):
-    html = book.page("A < B", "<h1>A</h1><h2 id='b'>B</h2>", None, ("c.html", "C"))
-    assert not book.loads(html)
+    html = book.page("A < B", '<h1>A</h1><h2 id="b">B</h2>', None, ("c.html", "C"))
     for part in ('lang="en"', "<title>A &lt; B</title>", "default-src 'none'", '<main id="main">'):
         assert part in html
     assert re.search(r'<a class="skip" href="#main">.*<a href="#b">B</a>', html, re.DOTALL)
