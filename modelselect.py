@@ -537,7 +537,7 @@ def plain_dynamic_program(problem: SelectionProblem, *, max_labels: int = 2**18)
     excess, choices = min(rest, default=(math.inf, ()))
     best, proved, work = first.choices, first.cost, {"labels": len(labels)}
     if excess < math.inf:
-        lost = label_search.losses(triangle, [], purse, float(excess), 0.0, 0.0).total
+        lost = label_search.losses(triangle, [], purse, float(excess), 0.0).total
         proved = min(proved, found.base + triangle.constant + excess - lost)
         if problem.is_feasible(choices):
             best = np.array(choices)
@@ -770,9 +770,9 @@ def solve(
     """Find and certify a best schedule by the cheapest way that proves it.
 
     Uncoupled steps: one minimum per step.  Otherwise relax, round and swap; if the gap is still
-    open, `dynamic_program`.  If that runs into `max_labels`, into passes of seconds that take most
-    of a time limit, or into rounding, `branch_and_bound` has the rest; the best schedule and the
-    highest proved bound come back.
+    open, `dynamic_program`.  If that runs into `max_labels`, into rounding or, where nodes are
+    relaxed fast (no arcs, no budget), into passes that take most of a time limit,
+    `branch_and_bound` has the rest; the best schedule and the highest proved bound come back.
 
     Parameters
     ----------
@@ -813,7 +813,7 @@ def solve(
     quick = _start(problem, relaxation, time_left)
     if quick.gap <= gap or time_left() <= 0:
         return quick
-    decoded = _searched(problem, quick, gap, max_labels, time_left, shared=True)
+    decoded = _searched(problem, quick, gap, max_labels, time_left, shared=problem.form.bare)
     if decoded.gap <= gap or time_left() <= 0 or not (time_limit or decoded.work["complete"]):
         return decoded
     options: dict[str, Any] = {"gap": gap, "relaxation": relaxation}
