@@ -26,12 +26,11 @@ def pooled(distances, errors, z):
 
 # %%
 def cross_fit(folds, fit=None):
-    """Return the mean promised and the mean judged total cost; use part, pose and ms.solve."""
+    """Return the mean promised and the mean judged total cost; use posed and ms.solve."""
     pairs = []
     for k, fold in enumerate(folds):
-        rest = pose(part(np.concatenate([*folds[:k], *folds[k + 1 :]])), fit)
-        choices = ms.solve(rest).choices
-        pairs.append((rest.total_cost(choices), pose(part(fold), fit).total_cost(choices)))
+        best = ms.solve(posed(np.concatenate([*folds[:k], *folds[k + 1 :]]), fit))
+        pairs.append((best.cost, posed(fold, fit).total_cost(best.choices)))
     return np.mean(pairs, axis=0)
 
 
