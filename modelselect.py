@@ -586,8 +586,8 @@ def _searched(
 ) -> Schedule:
     """Search pass by pass from a first schedule and its certificate (passes.py).
 
-    The narrowest passes may be `skipped`, where the first schedule is what they found.  If the time
-    is `shared` with another solver, that one has what a longer pass would take most of.
+    The narrowest passes may be `skipped`, where the first schedule is what they found.  A solver
+    with which time is `shared` has what a longer pass would take most of, if passes closed little.
     """
     started, closed, seconds = perf_counter(), closes(gap, 0.0), 0.0
 
@@ -605,8 +605,8 @@ def _searched(
             break
         if (price := problem.form.price) is not None and search.may_price():
             _price_the_budget(problem, search, price, time_left)
-        if shared and 1 < seconds > time_left() / 16:
-            break  # the next pass takes about eight times as long, more than half of what is left
+        if shared and 1 < seconds > time_left() / 16 and search.share_closed() < 1 / 8:
+            break  # the next pass takes up to eight times as long, more than half of what is left
         begun = perf_counter()
         again = search.step(width)
         seconds = perf_counter() - begun

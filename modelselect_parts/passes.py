@@ -139,6 +139,11 @@ class Search:
         self.proved = max(self.proved, min(before, root + found.least - summing))
         return self.cost < before if found.complete else True
 
+    def share_closed(self) -> float:
+        """Return what share of the gap at the root has been closed."""
+        whole = self.cost - self.found.bound
+        return (self.proved - self.found.bound) / whole if whole > 0 else 1.0
+
     def may_price(self) -> bool:
         """Whether a better price of the limit may be worth its time: once, where a pass failed.
 
