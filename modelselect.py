@@ -537,7 +537,7 @@ def plain_dynamic_program(problem: SelectionProblem, *, max_labels: int = 2**18)
     excess, choices = min(rest, default=(math.inf, ()))
     best, proved, work = first.choices, first.cost, {"labels": len(labels)}
     if excess < math.inf:
-        lost = label_search.losses(triangle, [], purse, float(excess), 0.0, 0.0).total
+        lost = label_search.losses(triangle, [], purse, float(excess), 0.0).total
         proved = min(proved, found.base + triangle.constant + excess - lost)
         if problem.is_feasible(choices):
             best = np.array(choices)
@@ -586,8 +586,8 @@ def _searched(
 ) -> Schedule:
     """Search pass by pass from a first schedule and its certificate (passes.py).
 
-    The narrowest passes may be `skipped`, where the first schedule is what they found.  If the time
-    is `shared` with another solver, that one has what a longer pass would take most of.
+    The narrowest passes may be `skipped`, where the first schedule is what they found.  A solver
+    with which time is `shared` has what a longer pass would take most of, if passes closed little.
     """
     started, closed, seconds = perf_counter(), closes(gap, 0.0), 0.0
 
@@ -605,8 +605,8 @@ def _searched(
             break
         if (price := problem.form.price) is not None and search.may_price():
             _price_the_budget(problem, search, price, time_left)
-        if shared and 1 < seconds > time_left() / 16:
-            break  # the next pass takes about eight times as long, more than half of what is left
+        if shared and 1 < seconds > time_left() / 16 and search.share_closed() < 1 / 8:
+            break  # the next pass takes up to eight times as long, more than half of what is left
         begun = perf_counter()
         again = search.step(width)
         seconds = perf_counter() - begun
@@ -770,9 +770,9 @@ def solve(
     """Find and certify a best schedule by the cheapest way that proves it.
 
     Uncoupled steps: one minimum per step.  Otherwise relax, round and swap; if the gap is still
-    open, `dynamic_program`.  If that runs into `max_labels`, into passes of seconds that take most
-    of a time limit, or into rounding, `branch_and_bound` has the rest; the best schedule and the
-    highest proved bound come back.
+    open, `dynamic_program`.  If that runs into `max_labels`, into rounding or, where nodes are
+    relaxed fast (no arcs, no budget), into passes that take most of a time limit,
+    `branch_and_bound` has the rest; the best schedule and the highest proved bound come back.
 
     Parameters
     ----------
@@ -813,7 +813,7 @@ def solve(
     quick = _start(problem, relaxation, time_left)
     if quick.gap <= gap or time_left() <= 0:
         return quick
-    decoded = _searched(problem, quick, gap, max_labels, time_left, shared=True)
+    decoded = _searched(problem, quick, gap, max_labels, time_left, shared=problem.form.bare)
     if decoded.gap <= gap or time_left() <= 0 or not (time_limit or decoded.work["complete"]):
         return decoded
     options: dict[str, Any] = {"gap": gap, "relaxation": relaxation}

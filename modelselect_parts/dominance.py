@@ -14,7 +14,7 @@ completion of j within the budget (see `label_search.Ahead.room`).  So |v + y_i|
 takes the place of extra: the rest of what they may spend is paid for at the end.
 
 Any label may be tested against any other.  Tests are made against the cheapest of the same cell of
-a grid, for cells of several sizes.
+a grid, for cells of several sizes, until few labels are left: of these all pairs are tested.
 """
 
 from __future__ import annotations
@@ -32,6 +32,7 @@ Cells = npt.NDArray[np.uint64]
 # Sides of cells: the largest room, halved so often; the last: all but equal.
 GRIDS = (0, 1, 2, 3, 4, 5, 6, 7, 24)
 ODD = np.uint64(0x9E3779B97F4A7C15)  # 2^64 over the golden ratio: neighbours fall far apart
+FEW = 96  # labels of which all pairs are tested, which is quicker then, and drops more
 MANY = 512  # labels from which passes with detours are worth their time
 TELLING = 1e-6  # the share of the room that labels must differ by for a direction to tell cells
 
@@ -93,6 +94,9 @@ def undominated(
     for halvings in GRIDS:
         if len(alive) < 2 or largest == 0 or expired():
             break
+        if len(alive) <= FEW:
+            alive = alive[_of_all_pairs(pairs, alive, merge, state, detour)]
+            break
         if not (any(fruitful) or halvings == GRIDS[-1]):
             continue
         side = largest / 2**halvings
@@ -103,9 +107,7 @@ def undominated(
                 continue
             own = None if across else state
             key = cell if own is None else cell + own[alive].astype(np.uint64) * powers[-1]
-            first = (
-                _first_of_cell(key) if rank is None else _cheapest_so_far(key * ODD, rank[alive])
-            )
+            first = _first_of_cell(key) if rank is None else _cheapest_so_far(key, rank[alive])
             i, j = alive[first], alive
             tested = (i != j if own is None else (i != j) & (own[i] == own[j])).nonzero()[0]
             i, j = i[tested], j[tested]
@@ -121,6 +123,26 @@ def undominated(
     kept = np.zeros(len(extra), dtype=bool)
     kept[alive] = True
     return kept
+
+
+def _of_all_pairs(
+    pairs: Pairs, alive: Choices, merge: float, state: Choices | None, detour: Array | None
+) -> Mask:
+    """Mark which of a few labels stay: a label goes if one before it that stays is never worse."""
+    y, paid, due = pairs.y[alive], pairs.paid[alive], pairs.paid[alive] + merge
+    if state is not None:
+        i, j = state[alive][:, None], state[alive]
+        due = np.where(i == j, due, -np.inf) if detour is None else due - detour[i, j]
+    rho2 = np.zeros((len(alive), len(alive)))
+    for column in y.T:
+        rho2 += np.subtract.outer(column, column) ** 2
+    better = np.triu(paid[:, None] + 2 * np.sqrt(rho2) * pairs.room[alive] + rho2 <= due, 1)
+    stays = np.zeros(len(alive), dtype=bool)
+    asked = ~stays
+    while asked.any():
+        stays |= asked & ~better[asked].any(axis=0)
+        asked &= ~(stays | better[stays].any(axis=0))
+    return stays
 
 
 def detours(moves: Array, t: int) -> Array | None:
@@ -179,7 +201,8 @@ def _cheapest_so_far(cell: Cells, rank: Choices) -> Choices:
     cell's number do for some ten thousand labels, and sort in linear time.
     """
     n, most = len(cell), int(rank.max()) + 1
-    key = (cell >> np.uint64(48)).astype(np.uint16) if n < 2**16 else cell
+    key = cell * ODD
+    key = (key >> np.uint64(48)).astype(np.uint16) if n < 2**16 else key
     order = np.argsort(key, kind="stable")
     key = key[order]
     number = np.cumsum(np.append(True, key[1:] != key[:-1]))

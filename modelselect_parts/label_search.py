@@ -34,14 +34,14 @@ class Losses(NamedTuple):
 
     - *Truncation.*  Offsets of step t are (basis times strengths) a with |a|^2 <= p(H - t): true
       at the start, and kept, as a column more appends p entries of size at most 1, and turning
-      keeps |a|.  Dropping directions of strength <= least at every step changes the stacked
-      residuals U_tt e_t + y_t by a vector of norm x <= H least sqrt(pH): later steps only project
+      keeps |a|.  Dropping directions of strength <= s_t at step t changes the stacked residuals
+      U_tt e_t + y_t by a vector of norm x <= sum_t s_t sqrt(p(H - t)): later steps only project
       and cut it, which does not lengthen it.  So Q becomes at most (sqrt(Q) + x)^2 <=
       Q + 2 x sqrt(B) + x^2.
     - *Merging.*  A dominance test may lose `merge`.  A schedule's chain of dominators has one
       link a step and grid at most, as the representative of a cell is not discarded in its own
-      pass: at most H tests merge in all, and as many roundings of a test.  Where moves cost
-      something every grid is passed over twice.
+      pass, nor one that stays among few: at most H tests merge in all, and as many roundings of a
+      test.  Where moves cost something every grid is passed over twice.
     - *Spending.*  Sums in another order differ by grains, for each of which lam is paid.  A
       dominator never spends more, as sums of floats are monotone.
     - *Rounding.*  An offset errs at every step by a few eps of its reach for each term that its
@@ -55,10 +55,13 @@ class Losses(NamedTuple):
 
 
 def negligible_strength(triangle: Triangle, excess: float, slack: float) -> float:
-    """Return how weak a direction may be dropped, to give away a quarter of the slack or less."""
+    """Return how weak a direction may be dropped: all of them give away the slack at most.
+
+    Most are rounding, far weaker, and `losses` counts what they are.
+    """
     H, _, p = triangle.deviation.shape
     root = math.sqrt(excess + slack)
-    return slack / 8 / (2 * root * H * math.sqrt(p * H)) if root > 0 else 0.0
+    return slack / (2 * root * H * math.sqrt(p * H)) if root > 0 else 0.0
 
 
 def losses(
@@ -67,7 +70,6 @@ def losses(
     purse: Purse,
     excess: float,
     slack: float,
-    least: float,
 ) -> Losses:
     """Return B such that every schedule of up to this excess keeps a representative within B.
 
@@ -77,7 +79,7 @@ def losses(
     H, _, p = triangle.deviation.shape
     terms = max((len(step.push) for step in steps), default=0) + p
     lengths = sum(step.reach for step in steps) + triangle.length
-    x = H * least * math.sqrt(p * H) + 2 * EPS * (len(triangle.U) + terms + 10) * lengths
+    x = sum(step.lost for step in steps) + 2 * EPS * (len(triangle.U) + terms + 10) * lengths
     rest = slack / 2 + triangle.rounding
     tests = len(GRIDS) * (1 if triangle.moves.shape[1] == 1 else 2)
     grains = H * (tests + 1) * purse.grain
@@ -139,7 +141,7 @@ def search(
     that is no worse, up to the losses: so no schedule's excess is below the least of the three,
     less the losses.  One with a model that `factor` ruled out costs no less than the best schedule
     known then, to which callers limit the claim.  A later pass may reuse the basis: its excess is
-    smaller, so no model that it needs was ruled out, and `losses` is given the same `least`.
+    smaller, so no model that it needs was ruled out.
 
     The `margin` is what the budget exceeds the excess of every schedule by that disregards the
     limit, twice the losses and what the certificate took off: L(lam) of passes.py, where known.

@@ -101,7 +101,7 @@ class Search:
             return
         self.point, self.found, self.floor = point, found, floor
         self.purse = purse(self.form, point[1])
-        self.parts: tuple[Triangle, float, list[Coordinates]] | None = None
+        self.parts: tuple[Triangle, list[Coordinates]] | None = None
         self.ahead: label_search.Ahead | None = None
         self.proved = max(self.proved, min(floor, self.cost))
 
@@ -119,14 +119,14 @@ class Search:
         if self.parts is None:
             known = self.form, self.found, self.point, before - root
             self.parts = segments.prepared(*known, slack, self.expired)
-        triangle, least, steps = self.parts
+        triangle, steps = self.parts
         if not steps:
             return False
         excess = max(0.0, before - root - triangle.constant)
         if self.ahead is None and self._wants_bounds():
             limits = self.choices[::turn], excess, slack, self.expired
             self.ahead = segments.bounds_ahead(triangle, steps, *limits)
-        lost = label_search.losses(triangle, steps, self.purse, excess, slack, least)
+        lost = label_search.losses(triangle, steps, self.purse, excess, slack)
         rounding = self.found.taken + 4 * trellis.EPS * (abs(root) + abs(triangle.constant))
         margin = before - self.floor + 2 * lost.total + rounding
         given = lost, width, self.expired, self.ahead, margin
@@ -138,6 +138,11 @@ class Search:
         summing = 4 * trellis.EPS * (abs(root) + abs(found.least))
         self.proved = max(self.proved, min(before, root + found.least - summing))
         return self.cost < before if found.complete else True
+
+    def share_closed(self) -> float:
+        """Return what share of the gap at the root has been closed."""
+        whole = self.cost - self.found.bound
+        return (self.proved - self.found.bound) / whole if whole > 0 else 1.0
 
     def may_price(self) -> bool:
         """Whether a better price of the limit may be worth its time: once, where a pass failed.

@@ -104,18 +104,18 @@ def prepared(
     excess: float,
     slack: float,
     expired: Callable[[], bool],
-) -> tuple[Triangle, float, list[Coordinates]]:
+) -> tuple[Triangle, list[Coordinates]]:
     """Write the excess over `found.base`, up to this one, at (d, lam), as a sum over steps."""
     if isinstance(form.M, Sensitivity):
         return _of_system(form, form.M, found, point[0], excess)
     triangle = factor(form, found, *point, excess)
     least = negligible_strength(triangle, max(0.0, excess - triangle.constant), slack)
-    return triangle, least, compress(triangle, least, expired)
+    return triangle, compress(triangle, least, expired)
 
 
 def _of_system(
     form: Form, system: Sensitivity, found: Certificate, d: Array, excess: float
-) -> tuple[Triangle, float, list[Coordinates]]:
+) -> tuple[Triangle, list[Coordinates]]:
     """Write the excess of a system as a sum over steps; the last is that with which it begins."""
     useful = found.reduced + (found.bound - found.base) <= max(excess, 0.0)
     moves = np.where(useful & (found.node < np.inf), found.node, np.inf)
@@ -126,7 +126,7 @@ def _of_system(
     steps = [Coordinates(*step) for step in zip(*arrays, strict=True)]
     turn = -1 if system.forward else 1
     turned = (moves[::turn, None], deviation[::turn], np.zeros((0, 0)), size[::turn].ravel())
-    return Triangle(0.0, *turned, 0.0, length), 0.0, steps[::turn]
+    return Triangle(0.0, *turned, 0.0, length), steps[::turn]
 
 
 def _reaches(system: Sensitivity, size: Array) -> Array:
@@ -187,10 +187,9 @@ def _least_of(
 ) -> float:
     """Search a segment for the least that it adds; dropping labels proves something, too."""
     least, excess = 0.0, min(excess, excess_of(part, known))
-    weak = negligible_strength(part, excess, slack)
-    steps = compress(part, weak, expired)
+    steps = compress(part, negligible_strength(part, excess, slack), expired)
     for width in WIDTHS if steps else ():
-        given = losses(part, steps, FREE, excess, slack, weak)
+        given = losses(part, steps, FREE, excess, slack)
         found = search(part, steps, FREE, given, width, expired)
         least = max(least, found.least)
         if found.complete or found.choices is None:

@@ -135,6 +135,7 @@ class Coordinates(NamedTuple):
     carry: Array  #: (r, r'), coordinates of step t+1 -> those of step t
     push: Array  #: (r, p), e_t -> its share in the coordinates of step t
     reach: float  #: no offset is longer than this
+    lost: float = 0.0  #: nor what it has in the directions that were dropped, longer than this
 
 
 def compress(triangle: Triangle, least: float, expired: Callable[[], bool]) -> list[Coordinates]:
@@ -143,7 +144,8 @@ def compress(triangle: Triangle, least: float, expired: Callable[[], bool]) -> l
     The offset on the rows before step t lies in the range of U[:tp, tp:].  Its rank is that of
     U[:tp, :tp]'U[:tp, tp:], a block of M, as the shift is diagonal: n or 2n, for Psi of a task with
     n states.  Rounding adds weak directions; those of strength (singular value) at most `least`
-    are dropped.  Orthonormal columns keep all distances.
+    are dropped.  Orthonormal columns keep all distances.  An offset is the basis times strengths
+    times a vector of p(H - t) numbers of size 1 at most (`label_search.Losses`).
     """
     U, size, (H, _, p) = triangle.U, triangle.size, triangle.deviation.shape
     steps: list[Coordinates] = [None] * H  # type: ignore[list-item]
@@ -155,10 +157,12 @@ def compress(triangle: Triangle, least: float, expired: Callable[[], bool]) -> l
         column = U[before, rows]
         wide = np.hstack([scaled[before], column * size[rows]])
         V, strength, _ = np.linalg.svd(wide, full_matrices=False)  # SciPy's refuses no rows
-        reach = math.sqrt(p * (H - t)) * float(strength.max(initial=0))
-        V = V[:, strength > least]
+        most, weak = math.sqrt(p * (H - t)), strength <= least
+        reach = most * float(strength.max(initial=0))
+        lost = most * float(strength[weak].max(initial=0))
+        V = V[:, ~weak]
         own, read = U[rows, rows].copy(), basis[rows].copy()
-        steps[t] = Coordinates(own, read, V.T @ basis[before], V.T @ column, reach)
+        steps[t] = Coordinates(own, read, V.T @ basis[before], V.T @ column, reach, lost)
         basis, scaled = V, V * strength[: V.shape[1]]
     return steps
 

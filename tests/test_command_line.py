@@ -43,7 +43,7 @@ POOLS = {
     "--seed": [*COUNTS, "123456789012345678901234567890"],
     "--residuals": ["file", "none.csv", "", "a\0b"],
     "--out": ["out", "new/er", "file", "file/below", "", "a\0b", "x" * 300],
-    "--json": ["r.json", "new/r.json", "file", "out", "", "a\0b", "x" * 300],
+    "--json": ["r.json", "new/r.json", "file/r.json", "out", "", "a\0b", "x" * 300],
 }
 
 

@@ -171,14 +171,16 @@ def test_passes_that_drop_labels_still_prove_nothing_false(seed):
         assert found.gap < 1e-6 or undecided < 1e-12 * np.abs(costs).max()
 
 
-@given(SEEDS, st.integers(0, 3), st.integers(1, 60), st.booleans())
-def test_only_labels_that_spent_no_less_are_dominated(seed, dimensions, labels, whole):
+@given(SEEDS, st.integers(0, 3), st.integers(1, 60), st.booleans(), st.sampled_from([0, 60]))
+def test_only_labels_that_spent_no_less_are_dominated(seed, dimensions, labels, whole, few):
     rng = np.random.default_rng(seed)
     draw = (lambda size: rng.integers(0, 4, size) / 4) if whole else rng.random
     extra, y = np.sort(draw(labels)), draw((labels, dimensions)) / 4
     spent, state = draw(labels), rng.integers(0, 2, labels)
     room = np.sqrt(1 - extra)
-    kept = dominance.undominated(extra, y, room, 0.0, lambda: False, state, None, spent, 0.5)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(dominance, "FEW", few)
+        kept = dominance.undominated(extra, y, room, 0.0, lambda: False, state, None, spent, 0.5)
     paid = extra - 0.5 * spent
     assert kept.any()
     for j in np.flatnonzero(~kept):
@@ -189,8 +191,8 @@ def test_only_labels_that_spent_no_less_are_dominated(seed, dimensions, labels, 
         assert claim.any(), "no label of its state that spent no more dominates it"
 
 
-@given(SEEDS, st.integers(1, 60), st.sampled_from([0, 10**9]))
-def test_a_label_of_another_model_costs_no_more_whatever_model_comes_before(seed, labels, many):
+@given(SEEDS, st.integers(1, 60), st.sampled_from([0, 10**9]), st.sampled_from([0, 60]))
+def test_a_label_of_another_model_costs_no_more_whatever_comes_before(seed, labels, many, few):
     rng = np.random.default_rng(seed)
     moves = rng.random((2, 3, 3)) / 4
     moves[0, :, 2] = np.where(rng.random() < 0.5, np.inf, moves[0, :, 2])  # of no use
@@ -201,6 +203,7 @@ def test_a_label_of_another_model_costs_no_more_whatever_model_comes_before(seed
     room = np.sqrt(1 - extra)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(dominance, "MANY", many)
+        patch.setattr(dominance, "FEW", few)
         kept = dominance.undominated(extra, y, room, 0.0, lambda: False, state, detour)
     v = rng.normal(size=(40, 3)) / 4
     whole = extra[:, None] + ((v + y[:, None]) ** 2).sum(axis=-1)
@@ -268,8 +271,8 @@ def test_the_certificate_takes_no_more_off_than_it_says(seed, size):
         assert 0 <= total - Fraction(found.base) - path - quadratic <= Fraction(found.taken)
 
 
-@given(SEEDS, st.integers(0, 2), st.integers(1, 60))
-def test_labels_that_a_margin_drops_lead_to_no_schedule_within_the_budget(seed, r, labels):
+@given(SEEDS, st.integers(0, 2), st.integers(1, 60), st.sampled_from([0, 60]))
+def test_labels_that_a_margin_drops_lead_to_no_schedule_within_the_budget(seed, r, labels, few):
     # With completions |v + y|^2 + c, each label's least excess is known; none is below the floor.
     rng = np.random.default_rng(seed)
     y, state = rng.normal(size=(labels, r)) / 2, rng.integers(0, 2, labels)
@@ -284,10 +287,12 @@ def test_labels_that_a_margin_drops_lead_to_no_schedule_within_the_budget(seed, 
     expired = lambda: False  # noqa: E731
     margins, detour = (np.inf, budget - floor), np.zeros((2, 2))
     told = purse, given_
-    without, kept = (
-        label_search._survivors(partial, room, *told, margin, detour, 0, expired)[0]
-        for margin in margins
-    )
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(dominance, "FEW", few)
+        without, kept = (
+            label_search._survivors(partial, room, *told, margin, detour, 0, expired)[0]
+            for margin in margins
+        )
     gone = np.setdiff1d(np.arange(labels), kept)
     assert set(kept) <= set(range(labels)) and len(kept) <= len(without)
     for j in gone:
@@ -295,6 +300,22 @@ def test_labels_that_a_margin_drops_lead_to_no_schedule_within_the_budget(seed, 
         paid, rho = extra - 0.5 * spent, np.linalg.norm(y - y[j], axis=1)
         dominated = near & (paid + 2 * rho * room[j] + rho**2 <= paid[j] + 1e-12)
         assert dominated.any() or (whole[j] >= budget - 1e-12).all()
+
+
+def test_where_a_budget_makes_nodes_slow_passes_have_all_of_a_limit(monkeypatch):
+    rng, now, step = np.random.default_rng(5), [0.0], passes.Search.step
+    g, mean = rng.normal(size=(30, 2)), rng.normal(size=(30, 4, 1))
+    problem = SelectionProblem(g @ g.T, mean, 0 * mean, rng.random((30, 4)), budget=9.0)
+
+    def slow(search, width):  # each pass takes ten seconds
+        now[0] += 10
+        return step(search, width)
+
+    monkeypatch.setattr(passes.Search, "step", slow)
+    monkeypatch.setattr(ms, "WIDTHS", [2 * 8**k for k in range(8)])
+    monkeypatch.setattr(ms, "perf_counter", lambda: now[0])
+    monkeypatch.setattr(ms, "branch_and_bound", None)
+    assert ms.solve(problem, time_limit=100).is_optimal and now[0] > 10
 
 
 def test_a_price_of_the_budget_proves_what_the_relaxation_leaves_open():

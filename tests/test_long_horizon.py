@@ -221,7 +221,7 @@ def test_no_bound_of_segments_exceeds_what_a_schedule_adds(seed, as_system, leng
         best = ms.enumerate_schedules(a_problem(seed)[1])
         excess = best.cost * np.random.default_rng(seed).choice([1, 1.2, 2]) - found.base
         room = max(excess, 1e-12 * (1 + abs(best.cost)))
-        parts, _, steps = segments.prepared(form, found, (d, 0.0), room, 0.0, lambda: False)
+        parts, steps = segments.prepared(form, found, (d, 0.0), room, 0.0, lambda: False)
         turn = -1 if as_system and problem.psi.forward else 1
         room = max(room - parts.constant, 1e-12)
         known = best.choices[::turn]

@@ -85,7 +85,7 @@ def a_document(**changes):
         (a_document(mean="left out"), "^mean: expected one$"),
         (a_document(colour="red"), "^colour: expected no such field"),
         (a_document(alpha="1.0"), "^alpha: expected numbers, found '1.0'"),
-        (a_document(alpha=[1]), "^alpha: expected shape"),
+        (a_document(alpha=[1]), "^alpha: expected a number"),
         (a_document(alpha=None), "^alpha: expected real numbers"),
         (a_document(mean=[[1], [2, 3]]), "^mean: expected a rectangular array"),
         (a_document(model_cost=[0, "oo"]), "^model_cost: expected numbers, found 'oo'"),
