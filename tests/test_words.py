@@ -4,6 +4,7 @@ Other tests ask for the word that matters to them; here no other word can go ast
 text was meant to change, it changes here, too.
 """
 
+import inspect
 import warnings
 from dataclasses import replace
 from functools import cache
@@ -16,7 +17,7 @@ import landing
 import modelselect as ms
 import perception
 from landing import Settings, run_experiment
-from modelselect_parts import measured
+from modelselect_parts import measured, tables
 from modelselect_parts.pooling import Labelled, bootstrapped, labelled
 from perception import Kernel, PerceptionSuite, Residuals, fit_suite
 
@@ -335,3 +336,181 @@ def test_a_warning_says_what_is_odd_and_points_at_the_line_that_called(
         WARNED[message]()
     assert [str(warning.message) for warning in caught] == [message]
     assert caught[0].filename == __file__
+
+
+# --------------------------------------------------------------------------------------- tables
+
+ROWS = ["Optimal", "Oracle", "Random", "Greedy"]
+NAN = np.nan
+POLICIES = np.array(
+    [  # control cost, perception cost, reward, what Optimal gains: mean, half of its interval
+        [(4000, 100), (500, 0), (-3300, 90), (0, 0)],
+        [(2500, NAN), (0, 0), (-2000, NAN), (-1300, NAN)],
+        [(9000, 100), (1000, 0), (-7400, 90), (4100, 80)],
+        [(4100, 100), (500, 0), (-3400, 90), (100, 200)],
+    ]
+)
+WAYS = np.array([[(0, 1), (2, 3), (4, 5)], [(0, 10), (20, 30), (40, 50)]])
+GAINS = np.array([[(0, 0), (0, 0)], [(3, 1), (2, 4)]])
+CAME = np.array([[(NAN, NAN), (7, 1), (8, 2)], [(4, 0.5), (7, 1), (8.25, NAN)]])
+LEADS = [{"Greedy": (0.25, 0.1)}, {"Greedy": (0.1, 0.25)}]
+LOST = {"Optimal": np.array([1.0, 3]), "Greedy": np.array([2.0, 5]), "Random": np.array([30.0, 50])}
+POINTS = np.array([[0, 5], [1.5, 4], [12345.67, 1]]), np.array([True, False, True])
+#: The text of a table, and the table: its numbers are chosen to be told apart.
+TABLES = [
+    (
+        """
+        Means of 5 trials ± 95% t-intervals, in units of 1e+03; perception costs are w * Upsilon
+                         control cost        perception cost                 reward          Optimal gains
+        Optimal            4.000 ± 0.100          0.500                 -3.300 ± 0.090          0.000
+        Oracle             2.500 ± -              0.000                 -2.000 ± -             -1.300 ± -
+        Random             9.000 ± 0.100          1.000                 -7.400 ± 0.090          4.100 ± 0.080
+          published        9.500                  1.200                 -7.800
+        Greedy             4.100 ± 0.100          0.500                 -3.400 ± 0.090          0.100 ± 0.200
+        Oracle (no error) and Clairvoyant (knows all errors beforehand) are infeasible.
+        Optimal gains: its reward less that of the policy, in the same trials.
+        Undecided (a single trial): Oracle, Greedy.
+        """,  # noqa: E501
+        lambda: tables.table_of_policies(
+            ROWS, POLICIES, {"Random": np.array([9500.0, 1200, -7800])}, 5, "w * Upsilon"
+        ),
+    ),
+    (
+        """
+        Means of 5 trials ± 95% t-intervals, in units of 1e+03; perception costs are median ms
+                         control cost        perception (ms)                 reward          Optimal gains
+        Optimal            4.000 ± 0.100        500.000                 -3.300 ± 0.090          0.000
+        Random             9.000 ± 0.100       1000.000                 -7.400 ± 0.090          4.100 ± 0.080
+        Oracle (no error) and Clairvoyant (knows all errors beforehand) are infeasible.
+        Optimal gains: its reward less that of the policy, in the same trials.
+        """,  # noqa: E501
+        lambda: tables.table_of_policies(ROWS[::2], POLICIES[::2], {}, 5, "median ms", "ms"),
+    ),
+    (
+        """
+        Its steps: a 2, b 0, c 2.
+        The next larger model has the smaller |mean error| in 75.0%, the smaller variance in 100.0% of cases.
+        """,  # noqa: E501
+        lambda: tables.table_of_models(
+            ["a", "b", "c"],
+            np.array([0, 2, 2, 0]),
+            np.array([[3.0, 2, -2], [1, -3, 0]]),
+            np.array([[3.0, 2, 1], [1, 1, 0]]),
+        ),
+    ),
+    (
+        """
+        Pareto points: 3 proved, 2 of them corners, which weights alpha : beta reach.
+        Open: not proved; this is of what is above.
+        The best corner costs control up to 25% more, within a budget of 1.5 ms.
+        """,
+        lambda: tables.table_of_front((*POINTS, np.array([0, 0.25, 0]), "not proved"), " ms"),
+    ),
+    (
+        "Pareto points: 0 proved, 0 of them corners, which weights alpha : beta reach.",
+        lambda: tables.table_of_front((np.empty((0, 2)), np.zeros(0, bool), np.empty(0), "")),
+    ),
+    (
+        """
+        Held-out errors (ft): parameters, multiply-adds, root mean square ± 95%, by altitude
+                                                           to 0     to 5
+        b0     1,234     56,789     1.23 ± 0.06            1.00     2.00
+        b1    12,345  1,234,567    10.50 ± 1.00            3.00     4.00
+        """,
+        lambda: tables.table_of_errors(
+            ["b0", "b1"],
+            np.array([[1234, 56789], [12345, 1234567]]),
+            np.array([[1.234, 0.056], [10.5, 1]]),
+            np.array([-2.0, 0, 5]),
+            np.array([[1.0, 2], [3, 4]]),
+        ),
+    ),
+    (
+        """
+        Regret under causal, where the drone acts on what it sees as it lands
+                              predicted    Gaussian errors          bootstrap  flown on pictures    perception cost      Optimal gains              flown
+        Optimal                     1.2       0.0 ±    1.0       2.0 ±    3.0       4.0 ±    5.0              100.0
+        Greedy                      7.5       0.0 ±   10.0      20.0 ±   30.0      40.0 ±   50.0               50.0       3.0 ±    1.0       2.0 ±    4.0
+        Undecided when flown (0 is in the interval): Greedy.
+        """,  # noqa: E501
+        lambda: tables.table_of_regrets(
+            "causal", ["Optimal", "Greedy"], np.array([[1.25, 100], [7.5, 50]]), WAYS, GAINS
+        ),
+    ),
+    (
+        """
+        Regret under causal, where the drone acts on what it sees as it lands
+                              predicted    Gaussian errors          bootstrap  flown on pictures    perception (ms)      Optimal gains              flown
+        Optimal                     1.2       0.0 ±    1.0       2.0 ±    3.0       4.0 ±    5.0              100.0
+        """,  # noqa: E501
+        lambda: tables.table_of_regrets(
+            "causal", ["Optimal"], np.array([[1.25, 100]]), WAYS[:1], GAINS[:1], "ms"
+        ),
+    ),
+    (
+        """
+        Total cost of schedules fitted on n residuals, judged on 2000 new pictures:
+            n      beyond the optimum        with guard_suite  (mean ± 95%, 40 draws)
+           50          10.00 ±  2.00%          30.00 ±  4.00%
+         1000           1.00 ±  0.20%           3.00 ±  0.50%
+        """,
+        lambda: tables.table_of_sizes(
+            [50, 1000],
+            np.array([[(0.1, 0.02), (0.3, 0.04)], [(0.01, 0.002), (0.03, 0.005)]]),
+            40,
+            2000,
+        ),
+    ),
+    (
+        """
+        Optimal at every stage, flown on pictures in 9 trials, the same for all
+                                    promised               by labels            flown regret             flown total         below Greedy, %
+        kernel                           5.0                       -               7.0 ± 1.0               8.0 ± 2.0             25.0 ± 10.0
+        round 1                          6.0               4.0 ± 0.5               7.0 ± 1.0                 8.2 ± -            10.0 ± 25.0?
+        ? undecided: 0 is in the interval, or it is one of a single trial.
+        """,  # noqa: E501
+        lambda: tables.table_of_stages(["kernel", "round 1"], np.array([5.0, 6]), CAME, LEADS, 9),
+    ),
+    (
+        """
+        Optimal at every stage, flown on pictures in 9 trials, the same for all
+                                    promised               by labels            flown regret             flown total         below Greedy, %
+        kernel                           5.0                       -               7.0 ± 1.0               8.0 ± 2.0             25.0 ± 10.0
+        """,  # noqa: E501
+        lambda: tables.table_of_stages(["kernel"], np.array([5.0]), CAME[:1], LEADS[:1], 9),
+    ),
+    (
+        """
+        2 flights each on views that no fit has seen; means
+                               promised regret              flown regret               flown total  Optimal lies below by, %
+        Optimal                            1.5                         2                        20
+        Greedy                               2                       3.5                        35             25.0 ± 30.0 undecided
+        Random                              20                        40                       400             90.0 ± 10.0
+        """,  # noqa: E501
+        lambda: tables.table_of_measured(
+            {"Optimal": 1.5, "Greedy": 2.0, "Random": 20.0},
+            LOST,
+            {policy: 10 * lost for policy, lost in LOST.items()},
+            {"Greedy": (0.25, 0.3), "Random": (0.9, 0.1)},
+        ),
+    ),
+]
+
+
+@pytest.mark.parametrize(("text", "table"), TABLES)
+def test_a_table_has_these_heads_and_columns(text, table):
+    assert "\n".join(table()) == inspect.cleandoc(text)
+
+
+def test_percentages_are_a_table_with_names():
+    means = {"this run": {"New": np.array([3.0, 2]), "Old": np.array([-2.0, 0])}, "log": {}}
+    found = tables.table_of_percentages(
+        [("control_cost", "New", "Old", "more"), ("reward", "New", "Old", "")],
+        ["control_cost", "reward"],
+        means,
+    )
+    assert tables.as_csv(found) == (
+        "quantity,new,old,formula,this run,log,what the paper prints\n"
+        "control cost,New,Old,100 (New - Old) / |Old|,250.0,,more\n"
+        "reward,New,Old,100 (New - Old) / |Old|,,,\n"
+    )
