@@ -10,6 +10,7 @@ from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
+import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 
@@ -17,7 +18,7 @@ import landing
 import modelselect as ms
 import perception
 from landing import Settings, run_experiment
-from modelselect_parts import measured, tables
+from modelselect_parts import figures, measured, options, tables
 from modelselect_parts.pooling import Labelled, bootstrapped, labelled
 from perception import Kernel, PerceptionSuite, Residuals, fit_suite
 
@@ -514,3 +515,253 @@ def test_percentages_are_a_table_with_names():
         "control cost,New,Old,100 (New - Old) / |Old|,250.0,,more\n"
         "reward,New,Old,100 (New - Old) / |Old|,,,\n"
     )
+
+
+REPORT = [
+    """
+    Means of 4 trials ± 95% t-intervals, in units of 1e+00; perception costs are ms of EfficientNet on an i7-12700H, 5 ms a switch
+    """,  # noqa: E501
+    """
+    Reward: -0.8 control cost - 0.2 * 0.01108 a ms of perception.
+
+    Optimal: expected total 4.492183e+00 (less alpha J(u*)), lower bound 4.492183e+00,
+    gap 0e+00, proved optimal by dynamic_program in 1.25 s.
+    It spends 397.3 ms of a budget of 400 ms.
+    Left out, as beyond the budget: All Large.
+    Its steps: b0 0, b1 0, b2 6, b3 5, b4 1, b5 0, b6 0, b7 0.
+    The next larger model has the smaller |mean error| in 97.6%, the smaller variance in 100.0% of cases.
+    It switches 3 times.
+    Pareto points: 84 proved, 20 of them corners, which weights alpha : beta reach.
+    The best corner costs control up to 52% more, within a budget of 305.1 ms.
+    """,  # noqa: E501
+    """
+    Reward: -0 control cost - 0 * 0 a ms of perception.
+
+    Optimal: expected total 4.492183e+00 (less alpha J(u*)), lower bound 2.246091e+00,
+    gap 5e-01, not proved optimal by dynamic_program in 1.25 s.
+    Its steps: b0 0, b1 0, b2 6, b3 5, b4 1, b5 0, b6 0, b7 0.
+    The next larger model has the smaller |mean error| in 97.6%, the smaller variance in 100.0% of cases.
+    """,  # noqa: E501
+]
+
+
+def test_a_report_has_these_lines_around_its_table():
+    limits = {"cost": "latency", "switch_cost": 5.0, "budget": 400.0}
+    run = run_experiment(Settings("simulated", "textbook", "preview", 12, 4, **limits))
+    best = replace(run.optimal, lower_bound=run.optimal.cost)
+    run = replace(run, seconds=1.25, optimal=best, front=landing.whole_front(run.problem, 60))
+    free = replace(run.settings, alpha=0.0, beta=0.0, switch_cost=0.0, budget=None)
+    half = replace(best, lower_bound=best.cost / 2)
+    text = landing.report(run)
+    other = landing.report(replace(run, optimal=half, settings=free, front=None))
+    heading, lines, open_lines = map(inspect.cleandoc, REPORT)
+    assert text.startswith(heading + "\n") and text.endswith("\n" + lines)
+    assert other.endswith("\n" + open_lines)
+
+
+# --------------------------------------------------------------------------------- command line
+
+
+def test_help_has_the_words_and_the_default_of_every_option(capsys):
+    with pytest.raises(SystemExit):
+        landing.main(["--help"])
+    assert capsys.readouterr().out.startswith("Land an aircraft, choosing perception models.\n")
+    defaults = vars(Settings()) | {"upsilon": "as the preset", "budget": "none"}
+    for option in landing._parser()._actions[1:]:
+        (flag,) = option.option_strings
+        about = options.ABOUT[flag[2:] if flag[2:] in options.ABOUT else option.dest]
+        switched = option.dest not in defaults or defaults[option.dest] is False
+        told = switched or option.dest == "residuals"  # which say their default, if they have one
+        assert option.help == (about if told else f"{about}; default: {defaults[option.dest]}")
+    places = {
+        option.dest: option.metavar for option in landing._parser()._actions if option.metavar
+    }
+    assert places == {"residuals": "FILE", "front": "SECONDS", "out": "FOLDER", "json": "FILE"}
+
+
+# -------------------------------------------------------------------------------------- figures
+
+PAIR = ["Optimal", "Greedy"]
+PAID, CONTROL = np.array([[3.0, 0.5], [4, NAN]]), np.array([[40.0, 5], [50, 6]])
+BETWEEN = np.array([[0.0, 5], [1, 4], [2, 1]])
+STAGES = {
+    "Optimal": np.array([[(1, 0.1), (2, 0.2)], [(3, 0.3), (4, NAN)]]),
+    "Greedy": np.array([[(5, 0.1), (6, 0.2)], [(7, 0.3), (8, 0.4)]]),
+}
+
+#: A figure, its words in order, the scales of its axes, and the points of the lines in them.
+FIGURES = [
+    (
+        lambda: figures.draw_schedule(
+            np.array([0, 2, 1]), ["a", "b", "c"], np.array([1.0, 4, 2]), "A title", 0.5
+        ),
+        ["A title", "model", "step (of 0.5 s)", r"$\Psi_{tt}$"],
+        ["linear linear"] * 2,
+        [[[(0, 0), (1, 2), (2, 1)]] * 2, [[(0, 1), (1, 4), (2, 2)]]],
+    ),
+    (
+        lambda: figures.draw_costs(PAIR, PAID, CONTROL, "an axis"),
+        [*PAIR, "Lower left is better", "an axis", "control cost"],
+        ["linear log"],
+        [[[(3, 40)], [(4, 50)]]],
+    ),
+    (
+        lambda: figures.draw_rewards(PAIR, PAID * [-1, 1]),
+        ["Rewards (hollow: infeasible)", "minus reward (left is better)", "-4", "-3"],
+        ["log linear"],
+        [[[(4, 0)], [(3, 1)]]],
+    ),
+    (
+        lambda: figures.draw_front(BETWEEN, 2, PAIR, CONTROL, "an axis"),
+        [
+            *("optimal at 3 $\\alpha:\\beta$\n(2 proved)", *PAIR),
+            *("The best schedules found", "an axis", "extra control cost"),
+        ],
+        ["linear log"],
+        [[BETWEEN, [(40, 5)], [(50, 6)]]],
+    ),
+    (
+        lambda: figures.draw_all_points(
+            BETWEEN,
+            np.array([True, False, True]),
+            np.array([0, 0.25, 0]),
+            "something open",
+            ["a", "b"],
+            np.array([[0, 5.0], [2, 9]]),
+            "an axis",
+        ),
+        [
+            "2 corners: optimal\nat some $\\alpha:\\beta$",
+            *("1 points between:\nby budgets only", "one model\nthroughout"),
+            *("Weights reach 2 of 3 Pareto points\n(something open)", "extra control cost"),
+            *("a", "b", "an axis", "weights\ndearer (%)"),
+        ],
+        ["linear log", "linear linear"],
+        [[BETWEEN[::2], BETWEEN[1:2], [(0, 5), (2, 9)]], [[(0, 0), (1, 25), (2, 0)]]],
+    ),
+    (
+        lambda: figures.draw_landings(
+            np.arange(2), {"Oracle": np.array([[1.0, 2]]), "Optimal": np.array([[3.0, 4]])}, "ft"
+        ),
+        [
+            "Mean and 90% band of trials; dotted: Oracle; note the scales",
+            *("time (s)", "altitude (ft)", "Oracle", "Optimal"),
+        ],
+        ["linear linear"] * 2,
+        [[[(0, 1), (1, 2)]] * 2, [[(0, 3), (1, 4)], [(0, 1), (1, 2)]]],
+    ),
+    (
+        lambda: figures.draw_sensitivities(["p", "q"], {"p": np.array([[2.0, -1], [0, 1]])}),
+        [
+            *("p\n25% negative", "step $k$", "step $t$", "q\nnot available", "step $k$"),
+            r"$|\Psi_{tk}|$ (white: 0)",
+        ],
+        ["linear linear"] * 2 + ["linear log"],
+        [[], [], []],
+    ),
+    (
+        lambda: figures.draw_published_models(
+            ["a", "b"], np.array([1e9, 2e9]), np.array([1e6, 3e6]), np.array([70.0, 80])
+        ),
+        [
+            *("operations per picture (billions)", "ImageNet top-1 accuracy (%)", "a", "b"),
+            *("parameters (millions)", "a", "b"),
+        ],
+        ["log linear"] * 2,
+        [[[(1, 70), (2, 80)]], [[(1, 70), (3, 80)]]],
+    ),
+    (
+        lambda: figures.draw_gallery([np.zeros((2, 4, 4))] * 2, ["one", "two"], "a heading"),
+        ["a heading", "one", "two"],
+        ["linear linear"] * 4,
+        [[]] * 4,
+    ),
+    (
+        lambda: figures.draw_accuracy(["a", "b"], np.array([10, 100]), CONTROL),
+        ["parameters", "root mean square error (ft)", "a", "b"],
+        ["log linear"],
+        [[[(10, 40), (100, 50)], [(10, 35), (100, 44)], [(10, 45), (100, 56)]]],
+    ),
+    (
+        lambda: figures.draw_distribution("a", np.arange(1.0, 21), np.arange(20.0)),
+        [
+            *("Errors of a", "distance of the camera (ft)", "error (ft)"),
+            *("held-out pictures", "mean", "± standard deviation"),
+        ],
+        ["log symlog"],
+        [[[(x + 1, x) for x in range(20)]] * 2],
+    ),
+    (
+        lambda: figures.draw_training(["a", "b"], np.array([[4.0, 2], [3, 1]])),
+        ["a", "b", "epoch", "training error of log distance"],
+        ["linear log"],
+        [[[(1, 4), (2, 2)], [(1, 3), (2, 1)]]],
+    ),
+    (
+        lambda: figures.draw_stages(["k", "r"], np.array([10.0, 20]), STAGES),
+        [
+            *("promised", *PAIR, "Regret, in flight"),
+            "α regret + β perception cost, in flight",
+        ],
+        ["linear log"] * 2,
+        [
+            [
+                *([(0, 10), (1, 20)], [(0, 1), (1, 3)], [(0, 0.9), (1, 2.7)], [(0, 1.1), (1, 3.3)]),
+                *([(0.12, y), (1.12, z)] for y, z in ((5, 7), (4.9, 6.7), (5.1, 7.3))),
+            ],
+            [
+                *([(0, 2), (1, 4)], [(0, 1.8), (1, 4)], [(0, 2.2), (1, 4)]),
+                *([(0.12, y), (1.12, z)] for y, z in ((6, 8), (5.8, 7.6), (6.2, 8.4))),
+            ],
+        ],
+    ),
+]
+
+
+def words(figure, panels):
+    """All words of a figure but those at ticks: its own, of its legends, and of its panels."""
+    found = [figure.get_suptitle(), figure.get_supxlabel(), figure.get_supylabel()]
+    found += [text.get_text() for legend in figure.legends for text in legend.texts]
+    for axes in panels:
+        found += [axes.get_title(), axes.get_xlabel(), axes.get_ylabel()]
+        found += [text.get_text() for text in axes.texts]
+        found += [text.get_text() for text in axes.get_legend().texts] if axes.get_legend() else []
+    return [word for word in found if word]
+
+
+@pytest.mark.parametrize(("draw", "said", "scales", "lines"), FIGURES)
+def test_a_figure_has_these_words_scales_and_points(draw, said, scales, lines):
+    figure = draw()
+    panels = [axes for axes in figure.axes if axes.get_visible()]
+    assert words(figure, panels) == said
+    assert [f"{axes.get_xscale()} {axes.get_yscale()}" for axes in panels] == scales
+    for axes, expected in zip(panels, lines, strict=True):
+        for line, points in zip(axes.lines, expected, strict=True):
+            np.testing.assert_allclose(line.get_xydata(), points)
+    plt.close(figure)
+
+
+def test_markers_of_policies_have_their_intervals_and_their_looks():
+    figure = figures.draw_costs(PAIR, PAID, CONTROL, "an axis")
+    for line, policy in zip(figure.axes[0].lines, PAIR, strict=True):
+        style = figures.POLICY_STYLE[policy]
+        assert (line.get_color(), line.get_marker()) == (style["color"], style["marker"])
+        assert line.get_linestyle() == "None"
+    ends = [bar.get_segments()[0].tolist() for bar in figure.axes[0].collections]
+    assert ends == [
+        *([[2.5, 40], [3.5, 40]], [[3, 35], [3, 45]]),
+        *([[4, 50], [4, 50]], [[4, 44], [4, 56]]),  # a single trial has no interval
+    ]
+    plt.close(figure)
+
+
+def test_schedules_and_rewards_name_their_rows():
+    drawn = (
+        (figures.draw_rewards(PAIR, PAID * [-1, 1]), ["Greedy", "Optimal"]),
+        (figures.draw_schedule(np.array([0, 1]), ["a", "b"], np.ones(2), "", 1.0), ["a", "b"]),
+    )
+    for figure, names in drawn:
+        axes = figure.axes[0]
+        assert [tick.get_text() for tick in axes.get_yticklabels()] == names
+        assert axes.get_yticks().tolist() == [0, 1]
+        plt.close(figure)
