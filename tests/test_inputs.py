@@ -11,7 +11,9 @@ import dataclasses
 import inspect
 import pickle
 import re
+import sys
 import traceback
+import types
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
@@ -1085,8 +1087,8 @@ ROWS: dict[str, tuple[Callable[..., Any], dict[str, Arg]]] = {
         },
     ),
     "learn": (
-        lambda seed=7, folder=None: landing.learn(
-            seed, folder, architecture=SIZES, training=4, held_out=3, epochs=1
+        lambda seed=7, folder=None, progress=False: landing.learn(
+            seed, folder, progress=progress, architecture=SIZES, training=4, held_out=3, epochs=1
         ),
         {
             "seed": count(7, "zero huge beyond-int64 beyond-float"),
@@ -1245,6 +1247,8 @@ def numbers(result):
     if isinstance(result, dict):
         timed = {"work", "seconds", "solve_seconds"}
         return [x for key, value in result.items() if key not in timed for x in numbers(value)]
+    if isinstance(result, plt.Figure):
+        result = [image.get_array() for axes in result.axes for image in axes.images]
     if isinstance(result, list | tuple):
         return [x for value in result for x in numbers(value)]
     return [] if callable(result) else [np.asarray(result)]
@@ -1344,6 +1348,121 @@ def test_other_forms_of_the_same_numbers_give_the_same_answer(row, name, way):
             assert (one == other).all()
         else:
             np.testing.assert_allclose(one, other, rtol=1e-12, atol=1e-12 * np.abs(other).max())
+
+
+SEEDS = {
+    (row, name): {"rng": np.random.default_rng, "seed": int}[name]
+    for row, (_, arguments) in ROWS.items()
+    for name in {"rng", "seed"} & set(arguments)
+}
+
+
+#: What else must be given for a generator to be used, or for anything to be learned.
+BESIDES = {"fit_landing": {"bins": None}, "learn": {"folder": None}}
+
+
+def equal(one, other):
+    pairs = zip(numbers(one), numbers(other), strict=True)
+    return all(np.array_equal(a, b, equal_nan=a.dtype.kind == "f") for a, b in pairs)
+
+
+@pytest.mark.parametrize("row, name", SEEDS)
+def test_a_seed_fixes_all_numbers_and_another_changes_some(row, name):
+    seeds, given = (5, 5, 6), BESIDES.get(row, {})
+    first, again, other = (called(row, **given | {name: SEEDS[row, name](k)}) for k in seeds)
+    assert equal(first, again) and not equal(first, other)
+
+
+#: What draws by the seed of a run, of which it is given the result.
+BY_RUN = {
+    "judge": lambda run: landing.judge_on_pictures(run, "measurement", ["Optimal"])[1],
+    "stages": lambda run: landing.fly_stages(run)["kernel"].lost,
+    "sizes": lambda run: landing.sample_sizes(run, [50], repeats=1, fresh=300),
+    "views": lambda run: landing.report_measured(run),
+}
+
+
+@pytest.mark.parametrize("what", BY_RUN)
+def test_the_seed_of_a_run_is_that_of_all_that_is_made_of_it(what):
+    run = seen_views() if what == "views" else seen()
+    runs = [
+        dataclasses.replace(run, settings=dataclasses.replace(run.settings, seed=seed))
+        for seed in (5, 5, 6)
+    ]
+    first, again, other = map(BY_RUN[what], runs)
+    assert equal(first, again) and not equal(first, other)
+
+
+#: The bars of what takes `progress`; a bar of what it calls may be left out.
+BARS = {
+    "train_models": ["Training"],
+    "run_experiment": ["Clairvoyant"],
+    "pareto": ["Pareto front"],
+    "whole_front": ["All Pareto points"],
+    "learn": ["Training"],
+    "judge_on_pictures": ["Flights (measurement)"],
+    "fly_stages": ["Stages"],
+    "report_pictures": [*(f"Flights ({k})" for k in ("measurement", "causal", "filter")), "Stages"],
+    "write_figures": ["Pareto front"],
+}
+
+
+@pytest.fixture
+def bars(monkeypatch):
+    """The titles of bars that are shown, in order."""
+    shown = []
+
+    def with_bar(items, title, progress):
+        shown.extend([title] * (progress is True))
+        return items
+
+    monkeypatch.setattr(perception, "with_bar", with_bar)
+    return shown
+
+
+def test_bars_of_all_that_take_progress_are_known():
+    take = {row for row, (_, arguments) in ROWS.items() if "progress" in arguments}
+    assert take == set(BARS) | {"with_bar", "pareto_front"}
+
+
+@pytest.mark.parametrize("row", BARS)
+def test_progress_is_handed_on_and_nothing_is_shown_without(row, bars, monkeypatch):
+    monkeypatch.setattr(landing, "sample_sizes", lambda *_: np.zeros((2, 2, 3)))  # has no bar
+    monkeypatch.setattr(plt.Figure, "savefig", lambda *_, **__: None)  # which takes seconds
+    for progress, titles in ((False, []), (True, BARS[row])):
+        called(row, progress=progress, **BESIDES.get(row, {}))
+        assert bars == titles
+
+
+@pytest.mark.parametrize("quiet", [False, True])
+def test_the_command_line_shows_bars_unless_it_is_quiet(quiet, monkeypatch, capsys):
+    made = {"learn": trained(), "run_experiment": seen(), "whole_front": fronted().front}
+    made |= {"fly_stages": {}, "report_pictures": "", "write_figures": None}
+    asked = {}
+
+    def stand_in(name):
+        def call(*_, progress=None, **__):
+            asked[name] = progress
+            return made[name]
+
+        return call
+
+    for name in made:
+        monkeypatch.setattr(landing, name, stand_in(name))
+    argv = ["--experiment", "trained", "--front", "1", *["--quiet"] * quiet]
+    assert landing.main(argv) == 0
+    assert asked == dict.fromkeys(made if not quiet else set(made) - {"report_pictures"}, not quiet)
+    assert (capsys.readouterr().out == "") is quiet
+
+
+@pytest.mark.parametrize("progress", [False, True])
+def test_a_bar_is_shown_at_a_terminal_if_it_is_asked_for(progress, monkeypatch):
+    asked = []
+    fake = types.SimpleNamespace(tqdm=lambda *given, **options: asked.append((given, options)))
+    monkeypatch.setitem(sys.modules, "tqdm", fake)
+    perception.with_bar([1, 2], "A title", progress)
+    # None is tqdm's word for: only at a terminal.
+    assert asked == [(([1, 2], "A title"), {"leave": False, "disable": None if progress else True})]
 
 
 HUGE = {kind: {"1e300": first(1e300), "-1e300": first(-1e300)} for kind in ("array", "number")}
