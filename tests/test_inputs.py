@@ -28,6 +28,7 @@ import landing
 import modelselect as ms
 import perception
 from landing import Settings
+from modelselect_parts.measured import halves
 
 from strategies import belongs
 
@@ -1478,6 +1479,91 @@ def test_a_huge_number_gives_finite_numbers_or_a_line_that_says_what_is_wrong(ro
         check_line(error, tuple(f"{word}: " for word in words))
     else:
         assert all(np.isfinite(x).all() for x in numbers(found) if x.dtype.kind == "f")
+
+
+def with_rows(n):
+    """Fit a bin of n residuals of a model."""
+    rows = perception.Residuals(["a"], np.zeros(n, int), np.ones(n), np.arange(n) - 1.0)
+    return perception.fit_suite(rows, [1], [1], bins=[0, 2])
+
+
+def near_rows(n):
+    """Fit by nearness where n residuals lie, and others infinitely far away."""
+    altitude = np.r_[np.ones(n), [1e9, 2e9]]
+    rows = perception.Residuals(["a"], np.zeros(n + 2, int), altitude, np.arange(n + 2.0))
+    return perception.fit_suite(rows, [1], [1], kernel=perception.Kernel(1e-3), bins=1)
+
+
+def with_sizes(n):
+    size, error = np.full((1, 1), n), np.ones((1, 1, 1))
+    return perception.guard_suite(
+        perception.PerceptionSuite(["a"], error, error, [1], size, standard_error=error)
+    )
+
+
+def with_views(n):
+    rows = perception.Residuals(
+        ["a"], np.zeros(n, int), [[k, 1 + k] for k in range(n)], np.ones(n), ["view", "altitude"]
+    )
+    return halves(rows, np.random.default_rng(0))
+
+
+def above(limit):
+    return np.nextafter(limit, np.inf)
+
+
+def below(limit):
+    return np.nextafter(limit, -np.inf)
+
+
+TINY = np.finfo(float).tiny
+#: What takes a number, the last number that it takes, and the first one that it does not.
+LIMITS = {
+    "probability-0": (lambda q: perception.with_dropouts(suite(), q, 0), 0, -TINY),
+    "probability-1": (lambda q: perception.with_dropouts(suite(), q, 0), 1, above(1)),
+    "miss_rate": (lambda q: suite_of(miss_rate=np.full((H, W), q)), 1, above(1)),
+    "sample_size": (lambda n: suite_of(sample_size=np.full((H, W), n)), 2**53, 2**53 + 2),
+    "guarded": (with_sizes, 2, 1),
+    "level-half": (lambda level: perception.guard_suite(with_rows(3), level), 0.5, below(0.5)),
+    "level-1": (lambda level: perception.guard_suite(with_rows(3), level), below(1), 1),
+    "width": (perception.Kernel, TINY, 0),
+    "period": (lambda p: perception.Residuals(["a"], [0], [1], [0], period=p), TINY, 0),
+    "in-a-bin": (with_rows, 2, 1),
+    "near": (near_rows, 2, 1),
+    "bins": (lambda n: perception.altitude_bins([1, 2, 3, 4], [0, 3.5], n), 3, 4),
+    "views": (with_views, 2, 1),
+    "lowest": (lambda h: perception.photograph(scene(), [h, 1], 8, RNG.make()), -2, below(-2)),
+    "highest": (lambda h: perception.photograph(scene(), [h, 1], 8, RNG.make()), 135, above(135)),
+    "taught-low": (lambda h: train_on(h), -2, below(-2)),
+    "taught-high": (lambda h: train_on(h), 135, above(135)),
+    "side": (lambda side: perception.new_network((side, 1, 1), RNG.make()), 8, 7),
+    "sizes": (lambda n: landing.sample_sizes(seen(), [n], repeats=1, fresh=300), 300, 301),
+    "last": (lambda w: landing.plot_distribution(trained(), w), 1, 2),
+    "first": (lambda w: landing.plot_distribution(trained(), w), -2, -3),
+    "prices": (lambda w: landing.cost_scale(PSI, suite().pick([0, 1][:w])), 2, 1),
+    "seconds": (lambda seconds: landing.whole_front(problem(), seconds), 0, -TINY),
+    **{
+        f"{name}": (lambda value, name=name: Settings(**{name: value}), last, first)
+        for name, last, first in (
+            *(("horizon", 1, 0), ("trials", 1, 0), ("seed", 0, -1), ("rounds", 0, -1)),
+            *((name, 0, -TINY) for name in ("alpha", "beta", "upsilon", "switch_cost", "budget")),
+        )
+    },
+}
+
+
+def train_on(h):
+    given = PICTURES[:1], [h], 1, RNG.make()
+    return perception.train_network(network(), *given)
+
+
+@pytest.mark.parametrize("limit", LIMITS)
+def test_a_limit_itself_is_allowed_and_nothing_beyond(limit):
+    call, last, beyond = LIMITS[limit]
+    call(last)
+    with pytest.raises(ValueError):
+        call(beyond)
+    plt.close("all")
 
 
 # ------------------------------------------------------------------- what the table cannot hold
