@@ -5,6 +5,7 @@ text was meant to change, it changes here, too.
 """
 
 import inspect
+import types
 import warnings
 from dataclasses import replace
 from functools import cache
@@ -27,7 +28,7 @@ from perception import Kernel, PerceptionSuite, Residuals, fit_suite
 RNG = np.random.default_rng(0)
 MEAN = np.zeros((2, 3, 1))
 SUITE = PerceptionSuite(["a", "b", "c"], MEAN, MEAN + 1, [0, 1, 2])
-WAY = np.array([8.0, 6, 3, 1])
+S = np.ones((9, 1))
 
 
 def rows(residual, **changes):
@@ -270,6 +271,145 @@ REFUSED |= {
 }
 
 
+def problem(**changes):
+    """Two steps, three models."""
+    fields = {"psi": np.eye(2), "mean": MEAN + 1, "variance": MEAN + 1, "model_cost": [0, 1, 2]}
+    return ms.SelectionProblem(**fields | changes)
+
+
+def task(**changes):
+    return ms.ControlTask(**{key: [[1.0]] for key in "ABCQR"} | {"horizon": 2} | changes)
+
+
+def plant(**changes):
+    fields = {"A": np.eye(1), "B": np.eye(1), "dt": 0.5} | changes
+    return types.SimpleNamespace(**fields)
+
+
+WEIGHTS = [[1.0]], [[1.0]], [[1.0]], 2
+EVEN = np.full((2, 3), 1 / 3)
+COUPLED = np.array([[2.0, 1], [1, 2]])
+DOCUMENT = '{"format": "modelselect.Schedule", "version": 1}'
+REFUSED |= {
+    # ---- solvers
+    "schedule.choices: expected available models within the budget": lambda: ms.check_certificate(
+        problem(budget=1.0), replace(ms.solve(problem()), choices=[2, 2])
+    ),
+    "problem: expected at most 8 schedules, found 3^2": lambda: ms.enumerate_schedules(
+        problem(), max_schedules=8
+    ),
+    "problem: expected at most 1 labels, found 3^2": lambda: ms.plain_dynamic_program(
+        problem(psi=COUPLED), max_labels=1
+    ),
+    "problem: expected uncoupled steps, found a mean error that Psi couples": lambda: (
+        ms.solve_separable(problem(psi=COUPLED))
+    ),
+    "relaxation.weights: expected rows >= 0 that sum to 1, and 0 where a model is not available, "
+    "found others": lambda: ms.round_and_swap(
+        problem(model_cost=[0, np.inf, 2]), replace(ms.relax(problem()), weights=EVEN)
+    ),
+    "problem: expected no switching costs, no budget; use relax_by_columns": lambda: ms.relax(
+        problem(budget=9.0)
+    ),
+    "allowed: expected True and False only": lambda: ms.relax_interior_point(
+        problem(), allowed=EVEN
+    ),
+    "allowed: expected an available model in every row, found none": lambda: (
+        ms.relax_interior_point(problem(), allowed=0 * EVEN)
+    ),
+    "problem: expected no budget, which blends do not have, found one": lambda: ms.BlendProblem(
+        problem(budget=9.0)
+    ),
+    "worst: expected an available model of 3, found 3": lambda: ms.BlendProblem(problem(), worst=3),
+    "blend: the cost overflows; expected numbers from 0 to 1": lambda: ms.BlendProblem(
+        problem()
+    ).total_cost([1e300, 0]),
+    # ---- problems
+    "covariance: expected shape (H, W, p, H, W, p) = (2, 3, 1, 2, 3, 1), found (2, 2)": lambda: (
+        ms.correlated_problem(problem(), np.eye(2))
+    ),
+    "correlation: expected 1 on the diagonal d, found 2.0; divide by "
+    "np.sqrt(np.outer(d, d))": lambda: ms.persistent_bias(
+        np.ones((3, 1)), np.ones((2, 3, 1)), correlation=2 * np.eye(3)
+    ),
+    "integers: expected a sum of at most 1e7, found 10000001": lambda: ms.partition_problem(
+        [10_000_000, 1]
+    ),
+    "adjacency: expected a symmetric matrix of 0 and 1 without loops, found others": lambda: (
+        ms.maximum_cut_problem(np.eye(2))
+    ),
+    "model_cost: expected numbers above -inf, found -inf": lambda: problem(
+        model_cost=[0, -np.inf, 2]
+    ),
+    "model_cost: expected an available model at every step, found none at step 1": lambda: problem(
+        model_cost=[[0, 1, 2], [np.inf] * 3]
+    ),
+    "psi: the costs overflow; rescale psi, mean, variance, the prices, alpha or beta": lambda: (
+        problem(model_cost=[0, 1, 1e300], beta=1e10)
+    ),
+    "suite: expected PerceptionSuite, found int": lambda: ms.SelectionProblem.from_suite(
+        np.eye(2), 3
+    ),
+    "choices: expected available models, found one that is not": lambda: problem(
+        model_cost=[0, np.inf, 2]
+    ).exact_cost([1, 0]),
+    "switch_cost: expected 0 on the diagonal, found others": lambda: problem(
+        switch_cost=np.ones((3, 3))
+    ),
+    "initial_model: expected one of 3 models, found 3": lambda: problem(initial_model=3),
+    "budget: expected one of at least 2.0, which one schedule needs, found 1.0": lambda: problem(
+        model_cost=[1, 2, 3], budget=1.0
+    ),
+    "weights: expected a single 1 and otherwise 0 in every row": lambda: ms.from_one_hot(EVEN),
+    "choices: expected integers >= 0, found others": lambda: replace(
+        ms.solve(problem()), choices=[0.5, 0]
+    ),
+    # ---- control
+    "gains: required by 'filter' (see kalman_gains), found None": lambda: ms.psi(task(), "filter"),
+    "gains: used only by 'filter', found with 'causal'": lambda: ms.psi(
+        task(), "causal", gains=[[0.5]]
+    ),
+    "prior_mean: used only by 'causal', found with 'preview'": lambda: ms.run_controller(
+        task(), [1.0], S[:2], S[:2], "preview", S[:2]
+    ),
+    "s_hat: expected the shape of s, (2, 1), found (3, 2, 1)": lambda: ms.run_controller(
+        task(), [1.0], S[:2], np.ones((3, 2, 1)), "preview"
+    ),
+    "system: expected a StateSpace with A, B and dt, found int": lambda: (
+        ms.ControlTask.from_statespace(3, *WEIGHTS)
+    ),
+    "system: expected one with a time base, found dt = None": lambda: (
+        ms.ControlTask.from_statespace(plant(dt=None), *WEIGHTS)
+    ),
+    "dt: expected a step > 0 for a continuous system, found None": lambda: (
+        ms.ControlTask.from_statespace(plant(dt=0), *WEIGHTS)
+    ),
+    "dt: expected that of the discrete system, 0.5, found 0.25": lambda: (
+        ms.ControlTask.from_statespace(plant(), *WEIGHTS, dt=0.25)
+    ),
+    "N: expected [[Q, N], [N', R]] positive semidefinite, found smallest eigenvalue -1 (of "
+    "the matrix scaled to unit diagonal)": (lambda: task(N=[[2.0]])),
+    "Q_final: required when Q varies with time, found None": lambda: task(Q=np.ones((2, 1, 1))),
+    "controls: expected the leading axes of states, (4,), found (3,)": lambda: ms.control_cost(
+        task(), np.ones((4, 3, 1)), np.ones((3, 2, 1))
+    ),
+    "states: the cost overflows, or that of controls does; rescale": lambda: ms.control_cost(
+        task(), np.full((3, 1), 1e300), np.ones((2, 1))
+    ),
+    # ---- files
+    "text: expected strict JSON, found NaN": lambda: ms.Schedule.from_json("[NaN]"),
+    "format: expected modelselect.Schedule, found [1]": lambda: ms.Schedule.from_json("[1]"),
+    "version: expected 1, found 2": lambda: ms.Schedule.from_json(DOCUMENT.replace("1}", "2}")),
+    "choices: expected one": lambda: ms.Schedule.from_json(DOCUMENT),
+    "extra: expected no such field": lambda: ms.Schedule.from_json(
+        ms.solve(problem()).to_json().replace("{", '{"extra": 1, ', 1)
+    ),
+    "text: expected every field once, found ['a', 'a']": lambda: ms.Schedule.from_json(
+        '{"a": 1, "a": 2}'
+    ),
+}
+
+
 @pytest.mark.parametrize("message", REFUSED)
 def test_a_refusal_says_what_was_expected_and_found(message, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
@@ -286,7 +426,6 @@ def turned(**changes):
     return rows([1.0, -2, 359, 358, 361, 0], **changes)
 
 
-S = np.ones((9, 1))
 TASK = ms.ControlTask([[1.0]], [[1.0]], [[1.0]], [[1.0]], [[1.0]], len(S))
 
 
