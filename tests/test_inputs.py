@@ -1435,27 +1435,6 @@ def test_progress_is_handed_on_and_nothing_is_shown_without(row, bars, monkeypat
         assert bars == titles
 
 
-@pytest.mark.parametrize("quiet", [False, True])
-def test_the_command_line_shows_bars_unless_it_is_quiet(quiet, monkeypatch, capsys):
-    made = {"learn": trained(), "run_experiment": seen(), "whole_front": fronted().front}
-    made |= {"fly_stages": {}, "report_pictures": "", "write_figures": None}
-    asked = {}
-
-    def stand_in(name):
-        def call(*_, progress=None, **__):
-            asked[name] = progress
-            return made[name]
-
-        return call
-
-    for name in made:
-        monkeypatch.setattr(landing, name, stand_in(name))
-    argv = ["--experiment", "trained", "--front", "1", *["--quiet"] * quiet]
-    assert landing.main(argv) == 0
-    assert asked == dict.fromkeys(made if not quiet else set(made) - {"report_pictures"}, not quiet)
-    assert (capsys.readouterr().out == "") is quiet
-
-
 @pytest.mark.parametrize("progress", [False, True])
 def test_a_bar_is_shown_at_a_terminal_if_it_is_asked_for(progress, monkeypatch):
     asked = []
