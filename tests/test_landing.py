@@ -1164,6 +1164,7 @@ def test_same_seed_same_files(drawn, tmp_path, capsys):
     assert plt.get_fignums() == []
     files = {file.name: file for file in (folder / "figures").iterdir()}
     assert set(files) == {"percentages.csv", *(f"{key}.png" for key in FIGURES)}
+    assert not any(b"Software" in file.read_bytes() for file in files.values())
     run = run_experiment(Settings(horizon=4, trials=3))
     for key in ("costs", "schedule"):
         again, figure = tmp_path / "again.png", getattr(landing, f"plot_{key}")(run)

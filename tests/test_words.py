@@ -483,6 +483,25 @@ def test_a_warning_says_what_is_odd_and_points_at_the_line_that_called(
     assert found == [(message, __file__)]
 
 
+#: What is just not odd enough.
+FINE = {
+    "half of the rows count": lambda: fit_suite(FOUR, [1.0, 2], [1], bins=1),
+    "who hovers sees few": lambda: fitted(rows([1.0, 2, 4, 7, 9]), bins=[0, 2]),
+    "two errors of a turn": lambda: fitted(rows([1.0, -2, 359, 358, 0]), bins=[0, 9]),
+    "all near a turn": lambda: fitted(rows([359.0, 358, 361, 362]), bins=[0, 9]),
+    "a tenth of a turn off": lambda: fitted(rows([1.0, 36, 359, 358, 361]), bins=[0, 9]),
+    "just half a period": lambda: fitted(rows([60.0, 100, 140], period=360), bins=[0, 9]),
+    "rounded alike": lambda: perception.read_residuals("twice.csv", resolution=0.1),
+}
+
+
+@pytest.mark.parametrize("what", FINE)
+def test_what_is_not_odd_raises_no_warning(what, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("twice.csv").write_text("model,altitude,residual\na,1,2\na,1,2\n")
+    FINE[what]()  # by default, a warning is an error here
+
+
 # --------------------------------------------------------------------------------------- tables
 
 ROWS = ["Optimal", "Oracle", "Random", "Greedy"]
