@@ -175,6 +175,18 @@ def test_a_bad_value_is_one_line_and_status_2_before_any_work(flag, value, place
     assert (written(place), set(place.iterdir())) == around
 
 
+@pytest.mark.parametrize(
+    ("argument", "words"),
+    [
+        ("--horizon=1.5", "--horizon: expected an integer, found '1.5'"),
+        ("--alpha=1_0", "--alpha: expected a number, found '1_0'"),
+        ("--out= ", "--out: expected a path, found ' '"),
+    ],
+)
+def test_a_slip_is_shown_beside_what_was_expected(argument, words, place):
+    assert run([argument]) == (2, "", f"landing.py: error: argument {words}\n")
+
+
 SWITCHES = ("--no-figures", "--quiet", "--calibrate")
 
 

@@ -65,6 +65,10 @@ def pictures(group, error=((1.0, 2, 3),)):
     return Labelled(h, np.array(error), np.array(group), h)
 
 
+def network():
+    return perception.new_network((8, 1, 1), RNG)
+
+
 @cache
 def run(horizon=2, information="causal"):
     return run_experiment(Settings("simulated", "textbook", information, horizon, trials=1))
@@ -193,6 +197,15 @@ REFUSED = {
     "altitude: expected -2 to 135 ft, found 0 to 136": lambda: perception.photograph(
         perception.draw_scenes(2, RNG), [0, 136], 8, RNG
     ),
+    "altitude: expected -2 to 135 ft, found 136 to 136": lambda: perception.train_network(
+        network(), np.ones((1, 8, 8)), [136], 1, RNG
+    ),
+    "pictures: expected larger ones, found (1, 6, 6)": lambda: perception.forward(
+        network().layers, np.ones((1, 6, 6))
+    ),
+    "pictures: expected smaller ones, found (1, 24, 24)": lambda: perception.forward(
+        network().layers, np.ones((1, 24, 24))
+    ),
     # ---- pictures that all models saw
     "measured: expected errors (N,) over one variable, found several columns": lambda: labelled(
         TWO_WAYS
@@ -225,6 +238,16 @@ REFUSED = {
     "result: expected one with a front, found none": lambda: landing.plot_front(run()),
     "result: expected what `fly_stages` found in its flown, found nothing": lambda: (
         landing.plot_stages(run())
+    ),
+    "upsilon: the costs overflow, found 1e+308": lambda: run_experiment(Settings(upsilon=1e308)),
+    "switch_cost: the costs overflow, found 1e+308": lambda: run_experiment(
+        Settings(switch_cost=1e308)
+    ),
+    "--out: expected a writable folder, found none\0: embedded null byte": lambda: (
+        landing.check_targets(Path("none\0"), None)
+    ),
+    "--json: expected a file in a writable folder, found .: not a file, or a folder of --out": (
+        lambda: landing.check_targets(None, Path("."))
     ),
     "choices: expected shape (3, 2) or (2,), found (1, 2)": lambda: landing.fly(
         run().landing, "causal", np.zeros((3, 2, 1)), np.zeros((3, 2, 8, 1)), [[0, 0]]
