@@ -1521,6 +1521,15 @@ LIMITS = {
     "first": (lambda w: landing.plot_distribution(trained(), w), -2, -3),
     "prices": (lambda w: landing.cost_scale(PSI, suite().pick([0, 1][:w])), 2, 1),
     "seconds": (lambda seconds: landing.whole_front(problem(), seconds), 0, -TINY),
+    "offset": (lambda k: landing.published_log(Settings(upsilon=1e14), k), 0, -1),
+    "published-price": (lambda u: perception.published_suite(1, RNG.make(), u), 0, -TINY),
+    "textbook-price": (lambda u: perception.textbook_suite([1], RNG.make(), upsilon=u), 0, -TINY),
+    "used": (lambda share: suite_of(used=share), 0, -TINY),
+    "delay": (lambda d: perception.with_latency(suite(), d, [1.0] * P), 0, -TINY),
+    "repeats": (lambda n: landing.sample_sizes(seen(), [50], repeats=n, fresh=300), 1, 0),
+    "learned": (lambda seed: ROWS["learn"][0](seed), 0, -1),
+    "scenes": (lambda seed: by_sight(seed), 0, -1),
+    "gallery": (lambda seed: landing.flights.photograph_landings(seed), 0, -1),
     **{
         f"{name}": (lambda value, name=name: Settings(**{name: value}), last, first)
         for name, last, first in (
@@ -1529,6 +1538,16 @@ LIMITS = {
         )
     },
 }
+
+
+def by_sight(seed):
+    s, choices = numbered(1, 6, 1) / 8, [0, 1, 1, 0, 1, 0]
+    return landing.fly_on_pictures(seen(), s, choices, seed)
+
+
+@pytest.mark.parametrize("draw", [ROWS["learn"][0], by_sight, lambda seed: Settings(seed=seed)])
+def test_a_seed_may_be_of_any_size(draw):
+    assert not equal(draw(2**70), draw(2**70 + 1))
 
 
 def train_on(h):
