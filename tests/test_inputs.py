@@ -1088,8 +1088,8 @@ ROWS: dict[str, tuple[Callable[..., Any], dict[str, Arg]]] = {
         },
     ),
     "learn": (
-        lambda seed=7, folder=None, progress=False: landing.learn(
-            seed, folder, progress=progress, architecture=SIZES, training=4, held_out=3, epochs=1
+        lambda seed=7, folder=None, **more: landing.learn(
+            seed, folder, architecture=SIZES, training=4, held_out=3, epochs=1, **more
         ),
         {
             "seed": count(7, "zero huge beyond-int64 beyond-float"),
@@ -1117,9 +1117,9 @@ ROWS: dict[str, tuple[Callable[..., Any], dict[str, Arg]]] = {
         },
     ),
     "fly_stages": (
-        lambda result, trials=None, progress=False: landing.fly_stages(
-            result, trials, progress=progress
-        )["kernel"].totals["Optimal"],
+        lambda result, trials=None, **more: landing.fly_stages(result, trials, **more)[
+            "kernel"
+        ].totals["Optimal"],
         {"result": SEEN, "trials": count(2, "none"), "progress": FLAG},
     ),
     "sample_sizes": (
@@ -1249,15 +1249,17 @@ def numbers(result):
         timed = {"work", "seconds", "solve_seconds"}
         return [x for key, value in result.items() if key not in timed for x in numbers(value)]
     if isinstance(result, plt.Figure):
-        result = [image.get_array() for axes in result.axes for image in axes.images]
+        images = [image.get_array() for axes in result.axes for image in axes.images]
+        result = images + [line.get_xydata() for axes in result.axes for line in axes.lines]
     if isinstance(result, list | tuple):
         return [x for value in result for x in numbers(value)]
     return [] if callable(result) else [np.asarray(result)]
 
 
-def called(row, **changes):
+def called(row, *without, **changes):
     """Call a function with its good arguments, but for the changes; inputs stay as they are."""
     call, arguments = ROWS[row]
+    arguments = {name: arg for name, arg in arguments.items() if name not in without}
     optional = {
         key for key, p in inspect.signature(call).parameters.items() if p.default != p.empty
     }
@@ -1374,6 +1376,30 @@ def test_a_seed_fixes_all_numbers_and_another_changes_some(row, name):
     assert equal(first, again) and not equal(first, other)
 
 
+#: Defaults that take long, and functions that are called elsewhere only.
+ELSEWHERE = {("train_models", name) for name in ("architecture", "training", "held_out")}
+ELSEWHERE |= {("run_experiment", "settings"), ("maximum_cut_problem", "information")}
+ELSEWHERE |= {("main", "argv")}
+OPTIONAL = {
+    (row, name): p.default
+    for row, (call, _) in ROWS.items()
+    for name, p in inspect.signature(call).parameters.items()
+    if p.default is not p.empty and call.__name__ != "<lambda>" and name != "progress"
+    if (row, name) not in ELSEWHERE
+}
+
+
+@pytest.mark.parametrize("row, name", OPTIONAL)
+def test_what_is_not_given_is_what_the_signature_says(row, name):
+    def outcome(*without, **given):
+        try:
+            return called(row, *without, **given)
+        except ValueError as error:
+            return str(error)
+
+    assert equal(outcome(name), outcome(**{name: OPTIONAL[row, name]}))
+
+
 #: What draws by the seed of a run, of which it is given the result.
 BY_RUN = {
     "judge": lambda run: landing.judge_on_pictures(run, "measurement", ["Optimal"])[1],
@@ -1430,8 +1456,8 @@ def test_bars_of_all_that_take_progress_are_known():
 def test_progress_is_handed_on_and_nothing_is_shown_without(row, bars, monkeypatch):
     monkeypatch.setattr(landing, "sample_sizes", lambda *_: np.zeros((2, 2, 3)))  # has no bar
     monkeypatch.setattr(plt.Figure, "savefig", lambda *_, **__: None)  # which takes seconds
-    for progress, titles in ((False, []), (True, BARS[row])):
-        called(row, progress=progress, **BESIDES.get(row, {}))
+    for asked, titles in (({}, []), ({"progress": True}, BARS[row])):
+        called(row, **asked, **BESIDES.get(row, {}))
         assert bars == titles
 
 
