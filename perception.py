@@ -160,7 +160,8 @@ def gaussian_suite(
     x = check_array("at", at, "H", (None,))
     if names is None and isinstance(cost, Mapping):
         names = list(cost)
-    price = check_array("cost", priced(cost, names or ()), "... W", (None,), finite=False)
+    known = () if names is None else names
+    price = check_array("cost", priced(cost, known), "... W", (None,), finite=False)
     H, W = len(x), price.shape[-1]
     w = np.arange(W, dtype=np.float64)
     with np.errstate(over="ignore", invalid="ignore"):
@@ -252,8 +253,6 @@ def train_models(
 def measure_models(networks: Sequence[Network], count: int, rng: Rng) -> Residuals:
     """Measure networks on `count` new pictures: fresh data, for a second opinion."""
     check_classes("networks", networks, "Network")
-    if not len(networks):
-        raise ValueError("networks: expected one or more, found none")
     scene, h, pitch = draw_views(count, rng)
     seen = [n.altitude(photograph(scene, h, n.side, rng, pitch=pitch)) - h for n in networks]
     return _name_models(np.tile(h, len(seen)), np.concatenate(seen), len(seen))

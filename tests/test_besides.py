@@ -7,6 +7,7 @@ from scipy.signal import cont2discrete
 import modelselect as ms
 import perception
 from modelselect import ControlTask, SelectionProblem, psi
+from modelselect_parts import kernels
 from perception import (
     Kernel,
     PerceptionSuite,
@@ -182,6 +183,20 @@ def test_a_kernel_is_a_plain_weighted_mean():
         S = sum(x * np.outer(y, y) for x, y in zip(a, d, strict=True)) / (1 - (a**2).sum())
         np.testing.assert_allclose(suite.variance[t, 0], S)
         assert suite.sample_size[t, 0] == int(1 / (a**2).sum())
+
+
+@pytest.mark.parametrize("most", [1, 130])
+def test_a_kernel_finds_the_same_in_however_many_parts_it_looks(most, monkeypatch):
+    """Weights at a time: those of one step, or of two with some 60 looks of a model."""
+    residuals, kernel = world(120, 1), Kernel(0.7, log=["range"], relative="range")
+    path = {"range": np.linspace(2, 4, 5), "bearing": np.zeros(5)}
+    whole = fit_suite(residuals, path, [1, 2], kernel=kernel)
+    monkeypatch.setattr(kernels, "MOST_WEIGHTS", most)
+    parts = fit_suite(residuals, path, [1, 2], kernel=kernel)
+    for field in ("mean", "variance", "sample_size"):
+        np.testing.assert_allclose(getattr(parts, field), getattr(whole, field), rtol=1e-12)
+    with pytest.raises(ValueError, match="of near near range 90, bearing 0, found"):
+        fit_suite(residuals, path | {"range": [2, 3, 3, 90, 4]}, [1, 2], kernel=kernel)
 
 
 def test_draws_have_the_moments_of_the_suite_they_belong_to():

@@ -175,6 +175,18 @@ def test_a_bad_value_is_one_line_and_status_2_before_any_work(flag, value, place
     assert (written(place), set(place.iterdir())) == around
 
 
+@pytest.mark.parametrize(
+    ("argument", "words"),
+    [
+        ("--horizon=1.5", "--horizon: expected an integer, found '1.5'"),
+        ("--alpha=1_0", "--alpha: expected a number, found '1_0'"),
+        ("--out= ", "--out: expected a path, found ' '"),
+    ],
+)
+def test_a_slip_is_shown_beside_what_was_expected(argument, words, place):
+    assert run([argument]) == (2, "", f"landing.py: error: argument {words}\n")
+
+
 SWITCHES = ("--no-figures", "--quiet", "--calibrate")
 
 
@@ -326,3 +338,62 @@ def test_help_says_what_every_option_is_for():
     for option in landing._parser()._actions:
         said = (option.help or "").partition("default:")[0]
         assert len(said.split()) >= 1, option.dest
+
+
+@pytest.fixture
+def asked(place, monkeypatch):
+    """What the command line asks for, with what; nothing is learned, flown, printed or drawn."""
+    chosen = {"experiment": "trained"} | landing.DEFAULTS["trained"]
+    result = landing.run_experiment(landing.Settings(**chosen, horizon=2, trials=2))
+    made = {"learn": result.trained, "run_experiment": result, "whole_front": (), "fly_stages": {}}
+    made |= {"report": "a report", "report_pictures": "on pictures", "report_measured": "on views"}
+    made |= {"write_figures": None, "write_percentages": None, "summary": {"a": 1}}
+    found = {}
+
+    def stand_in(name):
+        def call(*given, **options):
+            found[name] = given, options
+            return made[name]
+
+        return call
+
+    for name in made:
+        monkeypatch.setattr(landing, name, stand_in(name))
+    return found
+
+
+@pytest.mark.parametrize("said", [*product([False, True], repeat=3)])
+def test_what_is_asked_for_is_made_and_nothing_else(asked, said, place):
+    quiet, bare, json = said
+    Path("asked").mkdir(exist_ok=True)  # as learning leaves it
+    argv = ["--experiment", "trained", "--front", "9", "--out", "asked"]
+    argv += ["--quiet"] * quiet + ["--no-figures"] * bare + ["--json", "asked.json"] * json
+    status, out, err = run(argv)
+    assert (status, out, err) == (0, "" if quiet else "a report\n\non pictures\n", "")
+    made = {"learn", "run_experiment", "whole_front"}
+    made |= set() if quiet else {"report", "report_pictures"}
+    made |= set() if bare else {"write_figures", "write_percentages"}
+    made |= {"summary"} if json else set()
+    made |= {"fly_stages"} if json or not (bare and quiet) else set()
+    assert set(asked) == made
+    assert {o["progress"] for _, o in asked.values() if "progress" in o} == {not quiet}
+    assert asked["learn"][0] == (0, Path("asked"))
+    assert asked["whole_front"][0][-1] == 9
+    assert Path("asked/residuals.csv").exists()
+    if not bare:
+        assert asked["write_figures"][0][-1] == Path("asked")
+        assert asked["write_percentages"][0][-1] == Path("asked/percentages.csv")
+    if json:
+        assert Path("asked.json").read_text() == '{\n "a": 1\n}'
+
+
+@pytest.mark.parametrize("quiet", [False, True])
+def test_reports_are_those_of_the_experiment(asked, quiet):
+    for argv, printed, more in (
+        (["--experiment", "measured"], "a report\n\non views\n", {"report_measured"}),
+        (["--information", "causal"], "a report\n", set()),
+    ):
+        asked.clear()
+        status, out, _ = run([*argv, "--no-figures", *["--quiet"] * quiet])
+        assert (status, out) == (0, "" if quiet else printed)
+        assert set(asked) == {"run_experiment"} | (set() if quiet else {"report"} | more)

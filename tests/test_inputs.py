@@ -11,7 +11,9 @@ import dataclasses
 import inspect
 import pickle
 import re
+import sys
 import traceback
+import types
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
@@ -26,6 +28,7 @@ import landing
 import modelselect as ms
 import perception
 from landing import Settings
+from modelselect_parts.measured import halves
 
 from strategies import belongs
 
@@ -1036,7 +1039,9 @@ ROWS: dict[str, tuple[Callable[..., Any], dict[str, Arg]]] = {
         {
             "problem": PROBLEM,
             "optimal": index([0, 2, 1, 2], blames="choices"),
-            "errors": Arg("batches", np.array([MEAN, 1 - MEAN]), "empty length-0 negative"),
+            "errors": Arg(
+                "batches", np.array([MEAN, 1 - MEAN]), "empty length-0 negative", "mean variance"
+            ),
             "rng": RNG,
         },
     ),
@@ -1083,8 +1088,8 @@ ROWS: dict[str, tuple[Callable[..., Any], dict[str, Arg]]] = {
         },
     ),
     "learn": (
-        lambda seed=7, folder=None: landing.learn(
-            seed, folder, architecture=SIZES, training=4, held_out=3, epochs=1
+        lambda seed=7, folder=None, **more: landing.learn(
+            seed, folder, architecture=SIZES, training=4, held_out=3, epochs=1, **more
         ),
         {
             "seed": count(7, "zero huge beyond-int64 beyond-float"),
@@ -1112,9 +1117,9 @@ ROWS: dict[str, tuple[Callable[..., Any], dict[str, Arg]]] = {
         },
     ),
     "fly_stages": (
-        lambda result, trials=None, progress=False: landing.fly_stages(
-            result, trials, progress=progress
-        )["kernel"].totals["Optimal"],
+        lambda result, trials=None, **more: landing.fly_stages(result, trials, **more)[
+            "kernel"
+        ].totals["Optimal"],
         {"result": SEEN, "trials": count(2, "none"), "progress": FLAG},
     ),
     "sample_sizes": (
@@ -1243,14 +1248,18 @@ def numbers(result):
     if isinstance(result, dict):
         timed = {"work", "seconds", "solve_seconds"}
         return [x for key, value in result.items() if key not in timed for x in numbers(value)]
+    if isinstance(result, plt.Figure):
+        images = [image.get_array() for axes in result.axes for image in axes.images]
+        result = images + [line.get_xydata() for axes in result.axes for line in axes.lines]
     if isinstance(result, list | tuple):
         return [x for value in result for x in numbers(value)]
     return [] if callable(result) else [np.asarray(result)]
 
 
-def called(row, **changes):
+def called(row, *without, **changes):
     """Call a function with its good arguments, but for the changes; inputs stay as they are."""
     call, arguments = ROWS[row]
+    arguments = {name: arg for name, arg in arguments.items() if name not in without}
     optional = {
         key for key, p in inspect.signature(call).parameters.items() if p.default != p.empty
     }
@@ -1325,10 +1334,10 @@ def test_a_spoiled_argument_is_refused_in_a_line_that_names_it(row, name, way):
     bad = ERRORS[arg.kind][way](arg.make())
     with pytest.raises(REFUSALS.get(arg.kind, ValueError)) as caught:
         called(row, **{name: bad})
-    if arg.kind in REFUSALS:
+    if isinstance(caught.value, TypeError):
         assert "\n" not in str(caught.value) and not by(caught.value, "site-packages", __file__)
     else:
-        names = (name, *arg.blames.split())
+        names = (name, *arg.blames.split(), *[" ".join(str(bad).split())] * (arg.kind == "path"))
         check_line(caught.value, tuple(f"{word}{end}" for word in names for end in ":."))
 
 
@@ -1344,6 +1353,124 @@ def test_other_forms_of_the_same_numbers_give_the_same_answer(row, name, way):
             np.testing.assert_allclose(one, other, rtol=1e-12, atol=1e-12 * np.abs(other).max())
 
 
+SEEDS = {
+    (row, name): {"rng": np.random.default_rng, "seed": int}[name]
+    for row, (_, arguments) in ROWS.items()
+    for name in {"rng", "seed"} & set(arguments)
+}
+
+
+#: What else must be given for a generator to be used, or for anything to be learned.
+BESIDES = {"fit_landing": {"bins": None}, "learn": {"folder": None}}
+
+
+def equal(one, other):
+    pairs = zip(numbers(one), numbers(other), strict=True)
+    return all(np.array_equal(a, b, equal_nan=a.dtype.kind == "f") for a, b in pairs)
+
+
+@pytest.mark.parametrize("row, name", SEEDS)
+def test_a_seed_fixes_all_numbers_and_another_changes_some(row, name):
+    seeds, given = (5, 5, 6), BESIDES.get(row, {})
+    first, again, other = (called(row, **given | {name: SEEDS[row, name](k)}) for k in seeds)
+    assert equal(first, again) and not equal(first, other)
+
+
+#: Defaults that take long, and functions that are called elsewhere only.
+ELSEWHERE = {("train_models", name) for name in ("architecture", "training", "held_out")}
+ELSEWHERE |= {("run_experiment", "settings"), ("maximum_cut_problem", "information")}
+ELSEWHERE |= {("main", "argv")}
+OPTIONAL = {
+    (row, name): p.default
+    for row, (call, _) in ROWS.items()
+    for name, p in inspect.signature(call).parameters.items()
+    if p.default is not p.empty and call.__name__ != "<lambda>" and name != "progress"
+    if (row, name) not in ELSEWHERE
+}
+
+
+@pytest.mark.parametrize("row, name", OPTIONAL)
+def test_what_is_not_given_is_what_the_signature_says(row, name):
+    def outcome(*without, **given):
+        try:
+            return called(row, *without, **given)
+        except ValueError as error:
+            return str(error)
+
+    assert equal(outcome(name), outcome(**{name: OPTIONAL[row, name]}))
+
+
+#: What draws by the seed of a run, of which it is given the result.
+BY_RUN = {
+    "judge": lambda run: landing.judge_on_pictures(run, "measurement", ["Optimal"])[1],
+    "stages": lambda run: landing.fly_stages(run)["kernel"].lost,
+    "sizes": lambda run: landing.sample_sizes(run, [50], repeats=1, fresh=300),
+    "views": lambda run: landing.report_measured(run),
+}
+
+
+@pytest.mark.parametrize("what", BY_RUN)
+def test_the_seed_of_a_run_is_that_of_all_that_is_made_of_it(what):
+    run = seen_views() if what == "views" else seen()
+    runs = [
+        dataclasses.replace(run, settings=dataclasses.replace(run.settings, seed=seed))
+        for seed in (5, 5, 6)
+    ]
+    first, again, other = map(BY_RUN[what], runs)
+    assert equal(first, again) and not equal(first, other)
+
+
+#: The bars of what takes `progress`; a bar of what it calls may be left out.
+BARS = {
+    "train_models": ["Training"],
+    "run_experiment": ["Clairvoyant"],
+    "pareto": ["Pareto front"],
+    "whole_front": ["All Pareto points"],
+    "learn": ["Training"],
+    "judge_on_pictures": ["Flights (measurement)"],
+    "fly_stages": ["Stages"],
+    "report_pictures": [*(f"Flights ({k})" for k in ("measurement", "causal", "filter")), "Stages"],
+    "write_figures": ["Pareto front"],
+}
+
+
+@pytest.fixture
+def bars(monkeypatch):
+    """The titles of bars that are shown, in order."""
+    shown = []
+
+    def with_bar(items, title, progress):
+        shown.extend([title] * (progress is True))
+        return items
+
+    monkeypatch.setattr(perception, "with_bar", with_bar)
+    return shown
+
+
+def test_bars_of_all_that_take_progress_are_known():
+    take = {row for row, (_, arguments) in ROWS.items() if "progress" in arguments}
+    assert take == set(BARS) | {"with_bar", "pareto_front"}
+
+
+@pytest.mark.parametrize("row", BARS)
+def test_progress_is_handed_on_and_nothing_is_shown_without(row, bars, monkeypatch):
+    monkeypatch.setattr(landing, "sample_sizes", lambda *_: np.zeros((2, 2, 3)))  # has no bar
+    monkeypatch.setattr(plt.Figure, "savefig", lambda *_, **__: None)  # which takes seconds
+    for asked, titles in (({}, []), ({"progress": True}, BARS[row])):
+        called(row, **asked, **BESIDES.get(row, {}))
+        assert bars == titles
+
+
+@pytest.mark.parametrize("progress", [False, True])
+def test_a_bar_is_shown_at_a_terminal_if_it_is_asked_for(progress, monkeypatch):
+    asked = []
+    fake = types.SimpleNamespace(tqdm=lambda *given, **options: asked.append((given, options)))
+    monkeypatch.setitem(sys.modules, "tqdm", fake)
+    perception.with_bar([1, 2], "A title", progress)
+    # None is tqdm's word for: only at a terminal.
+    assert asked == [(([1, 2], "A title"), {"leave": False, "disable": None if progress else True})]
+
+
 HUGE = {kind: {"1e300": first(1e300), "-1e300": first(-1e300)} for kind in ("array", "number")}
 
 
@@ -1357,6 +1484,110 @@ def test_a_huge_number_gives_finite_numbers_or_a_line_that_says_what_is_wrong(ro
         check_line(error, tuple(f"{word}: " for word in words))
     else:
         assert all(np.isfinite(x).all() for x in numbers(found) if x.dtype.kind == "f")
+
+
+def with_rows(n):
+    """Fit a bin of n residuals of a model."""
+    rows = perception.Residuals(["a"], np.zeros(n, int), np.ones(n), np.arange(n) - 1.0)
+    return perception.fit_suite(rows, [1], [1], bins=[0, 2])
+
+
+def near_rows(n):
+    """Fit by nearness where n residuals lie, and others infinitely far away."""
+    altitude = np.r_[np.ones(n), [1e9, 2e9]]
+    rows = perception.Residuals(["a"], np.zeros(n + 2, int), altitude, np.arange(n + 2.0))
+    return perception.fit_suite(rows, [1], [1], kernel=perception.Kernel(1e-3), bins=1)
+
+
+def with_sizes(n):
+    size, error = np.full((1, 1), n), np.ones((1, 1, 1))
+    return perception.guard_suite(
+        perception.PerceptionSuite(["a"], error, error, [1], size, standard_error=error)
+    )
+
+
+def with_views(n):
+    rows = perception.Residuals(
+        ["a"], np.zeros(n, int), [[k, 1 + k] for k in range(n)], np.ones(n), ["view", "altitude"]
+    )
+    return halves(rows, np.random.default_rng(0))
+
+
+def above(limit):
+    return np.nextafter(limit, np.inf)
+
+
+def below(limit):
+    return np.nextafter(limit, -np.inf)
+
+
+TINY = np.finfo(float).tiny
+#: What takes a number, the last number that it takes, and the first one that it does not.
+LIMITS = {
+    "probability-0": (lambda q: perception.with_dropouts(suite(), q, 0), 0, -TINY),
+    "probability-1": (lambda q: perception.with_dropouts(suite(), q, 0), 1, above(1)),
+    "miss_rate": (lambda q: suite_of(miss_rate=np.full((H, W), q)), 1, above(1)),
+    "sample_size": (lambda n: suite_of(sample_size=np.full((H, W), n)), 2**53, 2**53 + 2),
+    "guarded": (with_sizes, 2, 1),
+    "level-half": (lambda level: perception.guard_suite(with_rows(3), level), 0.5, below(0.5)),
+    "level-1": (lambda level: perception.guard_suite(with_rows(3), level), below(1), 1),
+    "width": (perception.Kernel, TINY, 0),
+    "period": (lambda p: perception.Residuals(["a"], [0], [1], [0], period=p), TINY, 0),
+    "in-a-bin": (with_rows, 2, 1),
+    "near": (near_rows, 2, 1),
+    "bins": (lambda n: perception.altitude_bins([1, 2, 3, 4], [0, 3.5], n), 3, 4),
+    "views": (with_views, 2, 1),
+    "lowest": (lambda h: perception.photograph(scene(), [h, 1], 8, RNG.make()), -2, below(-2)),
+    "highest": (lambda h: perception.photograph(scene(), [h, 1], 8, RNG.make()), 135, above(135)),
+    "taught-low": (lambda h: train_on(h), -2, below(-2)),
+    "taught-high": (lambda h: train_on(h), 135, above(135)),
+    "side": (lambda side: perception.new_network((side, 1, 1), RNG.make()), 8, 7),
+    "sizes": (lambda n: landing.sample_sizes(seen(), [n], repeats=1, fresh=300), 300, 301),
+    "last": (lambda w: landing.plot_distribution(trained(), w), 1, 2),
+    "first": (lambda w: landing.plot_distribution(trained(), w), -2, -3),
+    "prices": (lambda w: landing.cost_scale(PSI, suite().pick([0, 1][:w])), 2, 1),
+    "seconds": (lambda seconds: landing.whole_front(problem(), seconds), 0, -TINY),
+    "offset": (lambda k: landing.published_log(Settings(upsilon=1e14), k), 0, -1),
+    "published-price": (lambda u: perception.published_suite(1, RNG.make(), u), 0, -TINY),
+    "textbook-price": (lambda u: perception.textbook_suite([1], RNG.make(), upsilon=u), 0, -TINY),
+    "used": (lambda share: suite_of(used=share), 0, -TINY),
+    "delay": (lambda d: perception.with_latency(suite(), d, [1.0] * P), 0, -TINY),
+    "repeats": (lambda n: landing.sample_sizes(seen(), [50], repeats=n, fresh=300), 1, 0),
+    "learned": (lambda seed: ROWS["learn"][0](seed), 0, -1),
+    "scenes": (lambda seed: by_sight(seed), 0, -1),
+    "gallery": (lambda seed: landing.flights.photograph_landings(seed), 0, -1),
+    **{
+        f"{name}": (lambda value, name=name: Settings(**{name: value}), last, first)
+        for name, last, first in (
+            *(("horizon", 1, 0), ("trials", 1, 0), ("seed", 0, -1), ("rounds", 0, -1)),
+            *((name, 0, -TINY) for name in ("alpha", "beta", "upsilon", "switch_cost", "budget")),
+        )
+    },
+}
+
+
+def by_sight(seed):
+    s, choices = numbered(1, 6, 1) / 8, [0, 1, 1, 0, 1, 0]
+    return landing.fly_on_pictures(seen(), s, choices, seed)
+
+
+@pytest.mark.parametrize("draw", [ROWS["learn"][0], by_sight, lambda seed: Settings(seed=seed)])
+def test_a_seed_may_be_of_any_size(draw):
+    assert not equal(draw(2**70), draw(2**70 + 1))
+
+
+def train_on(h):
+    given = PICTURES[:1], [h], 1, RNG.make()
+    return perception.train_network(network(), *given)
+
+
+@pytest.mark.parametrize("limit", LIMITS)
+def test_a_limit_itself_is_allowed_and_nothing_beyond(limit):
+    call, last, beyond = LIMITS[limit]
+    call(last)
+    with pytest.raises(ValueError):
+        call(beyond)
+    plt.close("all")
 
 
 # ------------------------------------------------------------------- what the table cannot hold

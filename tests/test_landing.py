@@ -750,6 +750,45 @@ def test_the_bar_of_the_front_moves_by_shares(monkeypatch):
     assert len(front.points) > 2 and moved == list(range(100))
 
 
+def test_the_bar_of_the_front_moves_by_whole_hundredths(monkeypatch):
+    moved, seen = [], []
+
+    def front(problem, *, time_limit, progress):
+        for share in (0.0, 0.25, 0.259, 0.5, 1.0):
+            progress(share)
+            seen.append(len(moved))
+        return []
+
+    bar = lambda items, title, progress: (moved.append(k) or k for k in items)  # noqa: E731
+    monkeypatch.setattr("modelselect_parts.rivals.perception.with_bar", bar)
+    monkeypatch.setattr("modelselect_parts.rivals.ms.pareto_front", front)
+    landing.whole_front(small_problem(0), 60)
+    assert seen == [0, 25, 25, 50, 100]
+
+
+@pytest.mark.parametrize("unit", [2.0**-60, 2.0**60])
+def test_units_of_cost_change_no_choice(unit):
+    """Costs in another unit, of powers of two: the same policies, ratios and corners."""
+    problem = small_problem(3, switch_cost=SWITCHES, budget=4.4)
+    price = {"model_cost": unit * problem.model_cost, "switch_cost": unit * SWITCHES}
+    other = replace(problem, psi=unit * problem.psi, budget=unit * 4.4, **price)
+    errors = np.random.default_rng(0).normal(size=(2, 4, 3, 1))
+    found, same = (
+        landing.policies(each, solve(each).choices, errors, np.random.default_rng(1))
+        for each in (problem, other)
+    )
+    for policy, choices in found.items():
+        np.testing.assert_array_equal(choices, same[policy])
+    (ratio, optima), (again, rescaled) = pareto(problem, 9), pareto(other, 9)
+    np.testing.assert_allclose(again, ratio)
+    for one, two in zip(optima, rescaled, strict=True):
+        np.testing.assert_array_equal(one.choices, two.choices)
+    front, scaled = (landing.whole_front(each, 60) for each in (problem, other))
+    np.testing.assert_allclose(scaled.points, unit * front.points)
+    assert scaled.corner.tolist() == front.corner.tolist()
+    np.testing.assert_allclose(scaled.missed, front.missed)
+
+
 @pytest.mark.parametrize("quiet", [[], ["--quiet"]])
 def test_the_command_line_finds_the_front(tmp_path, capsys, quiet):
     target = tmp_path / "r.json"
@@ -1125,6 +1164,7 @@ def test_same_seed_same_files(drawn, tmp_path, capsys):
     assert plt.get_fignums() == []
     files = {file.name: file for file in (folder / "figures").iterdir()}
     assert set(files) == {"percentages.csv", *(f"{key}.png" for key in FIGURES)}
+    assert not any(b"Software" in file.read_bytes() for file in files.values())
     run = run_experiment(Settings(horizon=4, trials=3))
     for key in ("costs", "schedule"):
         again, figure = tmp_path / "again.png", getattr(landing, f"plot_{key}")(run)

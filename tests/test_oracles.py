@@ -112,7 +112,7 @@ guard_suite | test_guards_fade_with_many_residuals_and_have_the_textbook_factors
 altitude_bins | test_bins_hold_equally_many_altitudes | counting with a histogram
 draw_pose draw_scenes | test_scenes_are_drawn_from_the_stated_distributions | Kolmogorov-Smirnov against the stated laws
 draw_views | test_views_are_spread_evenly_over_the_logarithm_of_distance | Kolmogorov-Smirnov against the stated laws
-photograph | test_pictures_are_those_of_a_ray_tracer_but_for_edges_and_noise | a ray tracer with hard edges
+photograph | test_pictures_are_those_of_a_ray_tracer | a ray tracer with soft edges
 Network.parameters Network.multiply_adds | test_parameters_and_operations_are_those_of_the_arrays | counting windows and weights by hand
 Network.altitude | test_altitudes_are_those_of_plain_loops | loops over windows in double precision
 new_network | test_new_weights_are_normal_with_variance_two_over_inputs | Kolmogorov-Smirnov against normal draws

@@ -17,6 +17,7 @@ from scipy.stats import chi2, t
 import landing
 import modelselect as ms
 from landing import Settings, fly_on_pictures, judge_on_pictures, learn, run_experiment
+from modelselect_parts import flights
 from perception import (
     ARCHITECTURE,
     HIGHEST,
@@ -341,6 +342,26 @@ def test_regret_of_few_residuals_is_never_below_the_optimum(result):
     assert table.min() >= -1e-9
     assert np.ptp(table[0, 0]) > 0  # draws of 50 differ, the draw of all does not
     np.testing.assert_allclose(table[1, 0], table[1, 0, :1].repeat(6))
+
+
+def test_few_residuals_are_fitted_plain_and_then_guarded(result, monkeypatch):
+    fits, fit = [], flights.fit_landing
+
+    def recorded(aircraft, measured, cost, bins=None, *, guard=False, rng=None):
+        fits.append((len(measured.model), bins, guard, rng is not None))
+        return fit(aircraft, measured, cost, bins, guard=guard, rng=rng)
+
+    monkeypatch.setattr(flights, "fit_landing", recorded)
+    landing.sample_sizes(result, (50, 60), repeats=2, fresh=200)
+    truth, *few = fits
+    assert truth == (3 * 200, None, False, False)
+    assert few == [
+        (3 * n, None, *way) for n in (50, 50, 60, 60) for way in [(False,) * 2, (True,) * 2]
+    ]
+    fits.clear()
+    bins = replace(result, settings=replace(result.settings, fit="bins"))
+    landing.sample_sizes(bins, (50, 120), repeats=1, fresh=200)
+    assert [parts for _, parts, _, _ in fits] == [20, 4, 4, 10, 10]  # about ten in each
 
 
 def test_root_mean_square_covers_the_truth():
