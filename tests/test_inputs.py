@@ -1619,6 +1619,14 @@ def test_functions_that_return_rubbish_are_refused(bad):
     refused(lambda: ms.correlated_cost(problem(), steps, lambda *_: bad), "covariance: ")
 
 
+def test_a_formula_that_overflows_is_refused_and_not_warned_of():
+    def wild(w, x):
+        return (1 + w) * (x * 1e300 * 1e300 - x * 1e300 * 1e300)  # inf - inf
+
+    refused(lambda: perception.gaussian_suite(wild, spread, PRICE, [8, 4]), "bias: expected finite")
+    refused(lambda: perception.gaussian_suite(bias, wild, PRICE, [8, 4]), "spread: expected finite")
+
+
 @pytest.mark.parametrize("solver", [ms.round_and_swap, ms.dynamic_program, ms.branch_and_bound])
 def test_a_relaxation_of_another_problem_proves_nothing(solver):
     dear = dataclasses.replace(problem(), psi=1000 * problem().psi)
