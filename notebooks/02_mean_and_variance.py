@@ -74,16 +74,17 @@ plt.show()
 # one step may correlate if $\Sigma_t$ is given as a matrix. (`ass:indepRV` and the lines about
 # `eq:expTmp2` are misprinted: [paper.md](paper.md).)
 #
-# **Is it exact?** `thm:equivalence`: the simulated $\alpha J + \beta J^{\mathrm{per}}$, averaged over
-# the noise, and our total (`opt:model_selection`) are least at the same schedules, as they differ by
-# $\alpha J$ of the controller that is fed the truth, which no schedule changes. **With a forecast**
-# this holds for every $s$; **without** one, on average over $s$ (notebook 1). A robot on a line,
-# $x_{t+1} = x_t + u_t + s_t$; all schedules of three steps, all signs of the noise and of the pushes:
+# **Is it exact?** `thm:equivalence`: the simulated $\alpha J + \beta \sum_t \kappa_{c_t}$, averaged
+# over the noise, and our total (`opt:model_selection`) are least at the same schedules, as they
+# differ by $\alpha J$ of the controller that is fed the truth, which no schedule changes. **With a
+# forecast** (`open_loop`, `preview`) this holds for every $s$; **without** (`causal`), on average over
+# $s$ of mean 0 (notebook 1). A robot on a line, $x_{t+1} = x_t + u_t + s_t$; all schedules of three
+# steps, all signs of the noise and of the pushes $s_t$:
 
 
 # %%
 def line(H, Q=1.0):
-    """Return the robot on a line; Q charges its position on the way, 1 at the end."""
+    """Return the robot (A, B, C, Q, R, H); Q charges its position on the way, 1 at the end."""
     return ms.ControlTask([[1]], [[1]], [[1]], [[Q]], [[1]], H, Q_final=[[1]])
 
 
@@ -170,8 +171,8 @@ for name, (mean, variance, price) in cases.items():
 assert test.total_cost(greedy) > test.total_cost([2] * H) > 20 * best.cost
 
 # %% [markdown]
-# The larger mean square wins, and two wrong models in turn beat the right one (12 throughout). Nor
-# does a coin between models help: its expected cost is an average over schedules, and an average is
+# The larger mean square wins (one single bias meets no other), and two wrong models in turn beat the
+# right one (12 throughout). Nor does a coin between models help: its expected cost is an average over schedules, and an average is
 # never below its minimum.
 #
 # ## Errors that persist
@@ -202,7 +203,7 @@ for information in ("open_loop", "preview", "causal"):
 # That is still less than 4. With $\mathbf 1_w$ marking the steps that run model $w$, the cost is
 # $\sum_w \tau_w^2\, \mathbf 1_w^\top \Psi \mathbf 1_w$: where errors meet, it can pay to mix models, a
 # **portfolio**, even if one of them is best alone. Where they do not (`causal`), or where one model
-# is far steadier, at equal prices the steadiest runs alone. `correlated_problem` makes this a
+# is far steadier, at equal prices and noise the steadiest runs alone. `correlated_problem` makes this a
 # selection problem of its own, with one component a model, and `solve` proves its optimum:
 
 # %%

@@ -68,10 +68,12 @@ plt.show()
 # %% [markdown]
 # ## In general, and duality in two lines
 #
-# With $M = \alpha\Psi$ and the blended error $d_t = \sum_w b_{tw} \mu_{tw}$, minimise $f(b) =
-# d^\top M d + \sum_{tw} \ell_{tw} b_{tw}$, a convex quadratic over simplexes. Notebook 3's
-# identity holds for weights, too: $f(b)$ is $LB$ at any point, plus $\sum r b$, plus a square. So
-# no $LB$ exceeds $\min f$; and at $d$ itself the square vanishes:
+# With $M = \alpha\Psi$, $\ell_{tw}$ a model's price and cost of noise (`linear`) and the blended error
+# $d_t = \sum_w b_{tw} \mu_{tw}$, minimise $f(b) = d^\top M d + \sum_{tw} \ell_{tw} b_{tw}$, a convex
+# quadratic over simplexes. Notebook 3's identity holds for weights, too: $f(b)$ is $LB$ at any
+# point, plus $\sum r b$, plus a square; $r_{tw} \ge 0$ is by how much $2\mu_{tw}^\top (Md)_t +
+# \ell_{tw}$ exceeds the least of its step. So no $LB$ exceeds $\min f$; and at $d$ itself the
+# square vanishes:
 #
 # $$f(b) = LB(d) + \sum_{tw} r_{tw} b_{tw}, \qquad LB(d) \le \min f .$$
 #
@@ -202,7 +204,7 @@ for name, cost in results.items():
 #
 # ## Switching costs: whole schedules as columns
 #
-# With arcs between steps, weights on single models do not know what a change costs. **Column
+# If changes have a price, weights on single models do not know what one costs. **Column
 # generation** (Dantzig and Wolfe) puts weights on whole schedules: a *master* finds the best
 # mixture of a few columns, its $d$ prices the models, the cheapest path at these prices is the
 # next column, or the proof that there is none. The master is our relaxation again, with one step
@@ -235,8 +237,8 @@ np.testing.assert_allclose(bound, ms.relax_by_columns(switching).bound, rtol=1e-
 # \alpha D^\top \Psi D$. **Theorem 4** (`thm:psi`) in one line: $x^\top \Psi' x = \alpha (Dx)^\top
 # \Psi (Dx) \ge 0$, for every suite. So it is a convex quadratic over a box: polynomial. It is this
 # notebook's relaxation with two models; *drawing* one with chance $c_t$ would add $\alpha c_t (1 -
-# c_t)\, \delta_t^\top \Psi_{tt} \delta_t$ and end convexity. (The paper's assumption, its
-# semidefinite form and all errata: [paper.md](paper.md).)
+# c_t)\, \delta_t^\top \Psi_{tt} \delta_t$ and end convexity where steps meet. (The paper's assumption,
+# its semidefinite form and all errata: [paper.md](paper.md).)
 
 # %%
 for name, problem in {"toy": toy, "cart": mixed}.items():
@@ -261,8 +263,8 @@ for name, problem in {"toy": toy, "cart": mixed}.items():
 # > **PARTITION** (split positive integers into halves of equal sum) with one state: a robot that
 # > acts only at $t = 0$ ($B_t = 0$ later) and pays for the end has $\Psi = \frac12
 # > \mathbf{1}\mathbf{1}^\top$. (Constant matrices do as well: $\frac{H}{H+1}
-# > \mathbf{1}\mathbf{1}^\top$ if notebook 1's robot on a line plans once, with $r = 1$.) Let
-# > model 0 err by $+a_t$, model 1 by $-a_t$ for a crumb more: cost $\frac12 (\sum \pm a_t)^2$ plus
+# > \mathbf{1}\mathbf{1}^\top$ if a robot with $A = B = C = R = 1$ plans once and pays for the end.)
+# > Let model 0 err by $+a_t$, model 1 by $-a_t$ for a crumb more: cost $\frac12 (\sum \pm a_t)^2$ plus
 # > less than $\frac14$, below $\frac12$ **if and only if** the integers split. *Weakly* hard.
 # >
 # > **MAXIMUM CUT** with $H$ states: the end is weighed by $H(2H I - L)$, $L$ the graph's Laplacian;
