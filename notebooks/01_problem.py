@@ -83,8 +83,8 @@ plt.show()
 #
 # Regret $\frac23 (e_0 + e_1)^2$, whatever $x_0$ and $s$: to leave a minimum is free to first order.
 # We write it $e^\top \Psi e$, with all errors in one column $e$; here each entry of the matrix
-# $\Psi$ is $\frac23$. Errors $(1, -1)$ cost nothing. (`eq:relCtrlCost` asks for a strict
-# inequality; equality does no harm.)
+# $\Psi$ is $\frac23$. Errors $(1, -1)$ cost nothing. (`eq:relCtrlCost`, $J(u^*) < J(\hat u)$, should
+# allow equality.)
 #
 # **Look on the way.** Before $u_1$ let it see $x_1$, and believe $\hat s_1$ as before: $u_1 =
 # -(x_1 + \hat s_1)/2$. **Predict** what $(1, -1)$ costs now.
@@ -116,7 +116,8 @@ for looks in (False, True):
 # u_t^* = -S_t^{-1} B^\top \big(P_{t+1} (A x_t + C s_t) + q_{t+1}\big),$$
 #
 # where $q_t = (A - BK_t)^\top (P_{t+1} C s_t + q_{t+1})$, $q_H = 0$, is what later inputs ask for.
-# Every controller here uses this formula with what it *believes*. So only wrong beliefs count.
+# Every controller here uses this formula with what it *believes*. The constant is free of $u$, so
+# only wrong beliefs count.
 # Let $m_t$ be the error of the state that it believes, $q(e)$ the recursion fed $e$ in place of $s$,
 # and $S_t = G_t G_t^\top$:
 #
@@ -177,14 +178,15 @@ for information in TABLE:
 # **A forecast refreshed at every step** (MPC), the commonest of all, is no row of the table, and
 # simpler. Step $t$ acts on the forecast made at $t$, with errors $e^{(t)}$ of its own, and pays
 # $|\mathrm{row}_t\, e^{(t)}|^2$ of `preview`. No later step uses that forecast again: steps
-# decouple, however its errors correlate among themselves, and the cheapest model of each step is
-# best. (With one stale forecast, errors of different steps meet.) Exercise 2 builds it.
+# decouple, however errors correlate, and at each step the model is best whose price plus mean
+# $|\mathrm{row}_t\, e^{(t)}|^2$ is least. (With one stale forecast, errors of different steps meet.)
+# Exercise 2 builds it.
 #
 # ## Fly it
 #
 # A boat holds its place; its state is offset and speed. Waves carry it at $s_t$ (m/s), a mooring
-# pulls it back, a thruster pushes; offset and thrust are charged, $H = 40$ steps of 0.2 s. We feed
-# it the same errors in 1000 random seas and in their mirror images:
+# pulls it back, a thruster pushes; offset and thrust are charged ($Q_f = Q$ unless told), $H = 40$
+# steps of 0.2 s. We feed it the same errors in 1000 random seas and in their mirror images:
 
 # %%
 dt, H, rng = 0.2, 40, np.random.default_rng(1)
@@ -211,8 +213,8 @@ for information in TABLE:
     np.testing.assert_allclose(found.mean(), price)
 
 # %% [markdown]
-# Where a forecast is right the controller gives $u^*$, so the square is exact, sea by sea. Without
-# a forecast even right beliefs miss $u^*$, by an amount that depends on $s$, and an error may
+# Fed a right forecast (`open_loop`, `preview`) it gives $u^*$: the square is exact, sea by sea.
+# Without one even right beliefs miss $u^*$, by an amount that depends on $s$, and an error may
 # happen to help. If $s$ has the mean that the controller expects and is independent of $e$, this
 # averages out: $e^\top \Psi e$ is exact **in expectation**.
 #
@@ -245,7 +247,7 @@ assert not bills["preview"][21:].any() and not np.delete(bills["causal"], 20).an
 
 # %% [markdown]
 # Preview *braces* beforehand for a wave that will not come: the bracing of two errors overlaps, and
-# this makes its band. (It has nothing to forget: it sees its true state.) Open loop also believes
+# this makes its band. (Later commands are right: it sees its true state.) Open loop also believes
 # itself elsewhere afterwards, and the boat swings: errors of one sign, half a swing apart, cancel.
 # `measurement` is a diagonal, as `causal`.
 #
@@ -306,7 +308,7 @@ for name in ("open_loop", "preview", "causal"):
 
 # %% [markdown]
 # (Last number: the best single model.) Open loop buys better estimates at seven steps only, and
-# more than halves the cost.
+# pays less than half of what its best single model costs.
 #
 # **In one paragraph.** Completing the square turns regret into a sum over steps of what wrong
 # beliefs do to each command: beliefs about the state (memory), this input (now), later ones

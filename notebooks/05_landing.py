@@ -38,7 +38,7 @@ ORANGE, BLUE, SKY = (LOOK[name]["color"] for name in ("Optimal", "Best Single", 
 # %% [markdown]
 # ## Two steps
 #
-# A cart $x_{t+1} = x_t + u_t + s_t$, with $Q = R = 1$ and $H = 2$, plans once and never looks
+# A cart $x_{t+1} = x_t + u_t + s_t$, with $Q = Q_f = R = 1$ and $H = 2$, plans once and never looks
 # again. Model b0 is free and errs by 1; b1 costs 2 and makes no error.
 
 # %%
@@ -61,11 +61,11 @@ axes.legend(loc="center right")
 plt.show()
 
 # %% [markdown]
-# By itself, the first error costs 1.4 and the second 0.6: neither is worth 2. So **Greedy** buys
-# nothing, and pays 3.6, as the errors also **meet**, for $2 \cdot 0.8$. The optimum buys the first
-# step. Note for later: nothing grows in this cart; its first error costs more because the push
-# that it imagines acts on two states, that of the second on one. No entry of $\Psi$ is negative, so
-# errors of one sign never cancel.
+# By itself, the first error costs 1.4 and the second 0.6: neither is worth 2. So **Greedy**, which
+# looks at each step by itself, buys nothing, and pays 3.6, as the errors also **meet**, for
+# $2 \cdot 0.8$. The optimum buys the first step. Note for later: nothing grows in this cart; its
+# first error costs more because the push that it imagines acts on two states, that of the second on
+# one. No entry of $\Psi$ is negative, so errors of one sign never cancel.
 #
 # ## The aircraft
 #
@@ -109,7 +109,7 @@ assert optimal.is_optimal and ms.check_certificate(problem, optimal) <= optimal.
 # The optimum goes from b4 and b5 down to b0 (`fig:simulation_ms`), as $\Psi_{tt}$ falls, 20-fold
 # in 75 steps. *Predict:* is it the aircraft's growing mode, the eigenvalue 1.0065 of $A$?
 
-# %% alt="Above, the optimal model by step: b4 and b5 at first, more and more b3, b2 and b1 after step 75, b0 in the last dozen. Below, on a log scale, the sensitivity relative to step 0: it falls 20-fold by step 75 and far more at the end; without a growing mode nearly as steeply; growth alone is a line, down by 2.7 at step 75."
+# %%
 fall = problem.psi[0, 0] / problem.psi[75, 75]
 growth = abs(np.linalg.eigvals(task.A)).max()
 damped = task.A.copy()
@@ -118,6 +118,8 @@ calm = ms.psi(replace(task, A=damped), "open_loop").diagonal()
 print(f"fall {fall:.1f}; growth alone {growth**150:.1f}; no growth {calm[0] / calm[75]:.1f}")
 assert 20 < fall < 21 and growth**150 < 2.7 and calm[0] / calm[75] > 9
 assert abs(np.linalg.eigvals(damped)).max() < 1 + 1e-9
+
+# %% alt="Above, the optimal model by step: b4 and b5 at first, more and more b3, b2 and b1 after step 75, b0 in the last dozen. Below, on a log scale, the sensitivity relative to step 0: it falls 20-fold by step 75 and far more at the end; without a growing mode nearly as steeply; growth alone is a line, down by 2.7 at step 75." tags=["hide-input"]
 figure, (above, below) = plt.subplots(2, sharex=True, figsize=(10, 6.5))
 above.step(range(H), optimal.choices, where="mid", color=ORANGE, lw=2)
 above.set(yticks=range(8), yticklabels=suite.names, title="Accuracy is bought early")
@@ -129,7 +131,7 @@ below.legend(loc="lower left")
 plt.show()
 
 # %% [markdown]
-# Growth explains a factor of 2.7: amplitudes gain $1.0065^{75} = 1.6$, costs its square. The rest
+# Growth explains a factor of 2.7: amplitudes gain $1.0065^{75} = 1.63$, costs its square. The rest
 # is duration, as with the cart: a wrong pitch moves the altitude further with every step, and
 # altitude is charged to the end.
 #
@@ -137,8 +139,8 @@ plt.show()
 #
 # A schedule is chosen by a formula, and judged in flight. Its rivals: b7 or b0 throughout (All
 # Large, All Small), the best constant choice (Best Single), Greedy, and one random schedule. All
-# fly through the **same** 100 draws of input and errors, so we subtract flight by flight. (The
-# paper's reward, `fig:simulation_rwd`, is minus the total.)
+# fly through the **same** 100 draws of input and errors, so we subtract flight by flight; ± gives
+# 95% intervals of means. (The paper's reward, `fig:simulation_rwd`, is minus the total.)
 
 # %%
 total = {policy: -flown.reward for policy, flown in result.flights.items()}
@@ -190,7 +192,7 @@ label = "Animation: altitude and model in use over time of Optimal, Best Single 
 template = (Path(landing.__file__).parent / "notebooks" / "player.html").read_text("utf-8")
 HTML(Template(template).substitute(name="film", label=label, data=json.dumps(film)))
 
-# %% alt="Altitude over 1.5 seconds in eight panels of different scales; all pass through the ground. Oracle comes down from 1000 to minus 220 and All Large with it. Clairvoyant and Optimal end near minus 900, Best Single at minus 1450, Random near minus 5000, Greedy near minus 8300, All Small near minus 14000." tags=["hide-input"]
+# %% alt="Altitude over 1.5 seconds in eight panels of different scales; all pass through the ground. Oracle comes down from 1000 to minus 220 and All Large with it. Clairvoyant ends near minus 900, Optimal near minus 950, Best Single at minus 1450, Random near minus 5000, Greedy near minus 8300, All Small near minus 14000." tags=["hide-input"]
 figure = landing.plot_landing(result)
 figure.set_size_inches(10, 6.2)
 figure.suptitle("No policy lands (dotted: Oracle; note the scales)")
@@ -219,7 +221,7 @@ print(f"Random pays {old / new - 1:.1%} more than Optimal; Optimal pays {1 - new
 assert round(old / new - 1, 3) == 5.674 and round(1 - new / old, 3) == 0.850
 
 # %% [markdown]
-# The published control costs lie among ours. No chance: the order of the four, and b7 never used.
+# The published control costs lie among ours. Not chance: the order of the four, and b7 never used.
 #
 # **A percentage of what?** "567.18% lower control cost" than Random, says the paper. No cost falls
 # by 567%: that (567.4% by the log) is a share of Optimal's own cost, and the reduction is 85.0%.

@@ -34,7 +34,8 @@ def mpc_regret(task, forecasts):
 #
 # A robot that forgets, $A = 0.5$, and is charged for its end alone: an early push has died out by
 # then, by itself, so a good plan does not answer it. A late one counts in full. Where states do not
-# die out, an open-loop plan pays for an early error in every later state, and the last is cheap.
+# die out, an open-loop plan pays for an early error in every later state that is charged, and the
+# last is seldom dearer.
 
 
 # %%
