@@ -770,9 +770,9 @@ def solve(
     """Find and certify a best schedule by the cheapest way that proves it.
 
     Uncoupled steps: one minimum per step.  Otherwise relax, round and swap; if the gap is still
-    open, `dynamic_program`.  If that runs into `max_labels`, into rounding or, where nodes are
-    relaxed fast (no arcs, no budget), into passes that take most of a time limit,
-    `branch_and_bound` has the rest; the best schedule and the highest proved bound come back.
+    open, `dynamic_program`; if rounding stops that, 1000 nodes of `branch_and_bound`.  Under a time
+    limit it has all the time left, also where `max_labels` stops the search or, with no arcs and no
+    budget, its passes close little.  The best schedule and the highest proved bound come back.
 
     Parameters
     ----------
