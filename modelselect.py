@@ -9,10 +9,10 @@ controller e' Psi e more than true ones, so the best schedule in expectation min
     alpha * (mu_c' Psi mu_c + sum_t trace(Psi_tt Sigma_{t,w_t}))  +  beta * sum_t kappa_{w_t},
 
 quadratic in the mean errors, linear in the variances: an integer quadratic programme.  Beyond the
-paper, switching models may cost something, and what is spent may be limited.  Section II, the task
-and Psi, is task.py and regulator.py in modelselect_parts; section III, the problem, problem.py;
-here are the certificate and the solvers, plain forms first.  A solver is a function from a
-problem to a `Schedule`.
+paper, switching models may cost something, and what is spent may be limited.  Of modelselect_parts,
+task.py and regulator.py are section II, the task and Psi; problem.py is section III, the problem;
+trellis.py computes the certificate and takes rounding off it.  Here are the solvers, plain forms
+first: each is a function from a problem to a `Schedule`, which `_certified` makes.
 
 Symbol table (paper: "Dynamic Selection of Perception Models for Robotic Control";
 equations by their LaTeX labels)
@@ -46,15 +46,15 @@ A vector over time is flattened with entry r of step t at index t*p + r.  Inside
 paper's letters are used, unpacked in the first lines.
 
 Tolerances.  All are relative.  A matrix of unit diagonal counts as symmetric, and an eigenvalue per
-row as non-negative, up to MATRIX_TOLERANCE = 1e-12: a thousand times what rounding leaves in a
-product of matrices; what is let pass is taken out, but for the last digits, which bounds allow for
-(`SelectionProblem.defect`; exact at up to EXACT_ROWS = 32 rows).  A sum of k terms errs by at most
-k half units in the last place of the sum of their sizes (`cost_rounding`, the certificate): bounds
-are lowered by that much, and a cost of which it is more than EXACT_BELOW = 1e-10 is summed in
-fractions where that takes no time, at up to EXACT_SIZE = 100 errors pH.  A budget is kept up to
-1e-12 of it.  The label search may give away SEARCH_SLACK = 1e-10 of the cost, or the cost's
-rounding where that is more, or MERGING = 30 roundings where they alone are too many for a proof;
-its bound is lowered by all that it gives away.  So a gap of OPTIMALITY_GAP = 1e-9 counts as proved.
+row as non-negative, up to MATRIX_TOLERANCE = 1e-12 (semidefinite.py; 1e-6 if given in single
+precision): a thousand times what rounding leaves in a product of matrices; what is let pass is
+taken out, but for last digits, which bounds allow for (`SelectionProblem.defect`; exact at up to
+EXACT_ROWS = 32 rows).  A sum of k terms errs by at most k half units in the last place of the sum
+of their sizes (`cost_rounding`, `trellis.rounding_unit`): bounds are lowered by that much, and a
+cost of which it is more than EXACT_BELOW = 1e-10 is summed in fractions where that takes no time,
+at up to EXACT_SIZE = 100 errors pH.  A budget is kept up to 1e-12 of it.  The label search may give
+away SEARCH_SLACK = 1e-10 of the cost, its rounding if more, or MERGING = 30 roundings if those rule
+out a proof; all of it lowers its bound.  So OPTIMALITY_GAP = 1e-9 (schedule.py) counts as proved.
 
 >>> one = np.eye(1)  # an integrator that plans ahead
 >>> task = ControlTask(A=one, B=one, C=one, Q=one, R=one, horizon=4)
@@ -770,9 +770,9 @@ def solve(
     """Find and certify a best schedule by the cheapest way that proves it.
 
     Uncoupled steps: one minimum per step.  Otherwise relax, round and swap; if the gap is still
-    open, `dynamic_program`.  If that runs into `max_labels`, into rounding or, where nodes are
-    relaxed fast (no arcs, no budget), into passes that take most of a time limit,
-    `branch_and_bound` has the rest; the best schedule and the highest proved bound come back.
+    open, `dynamic_program`; if rounding stops that, 1000 nodes of `branch_and_bound`.  Under a time
+    limit it has all the time left, also where `max_labels` stops the search or, with no arcs and no
+    budget, its passes close little.  The best schedule and the highest proved bound come back.
 
     Parameters
     ----------
