@@ -55,13 +55,13 @@ class Losses(NamedTuple):
 
 
 def negligible_strength(triangle: Triangle, excess: float, slack: float) -> float:
-    """Return how weak a direction may be dropped: all of them give away the slack at most.
+    """Return how weak a direction may be dropped: all of them give away 3/4 of the slack at most.
 
     Most are rounding, far weaker, and `losses` counts what they are.
     """
     H, _, p = triangle.deviation.shape
     root = math.sqrt(excess + slack)
-    return slack / (2 * root * H * math.sqrt(p * H)) if root > 0 else 0.0
+    return 0.75 * slack / (2 * root * H * math.sqrt(p * H)) if root > 0 else 0.0
 
 
 def losses(
@@ -73,20 +73,20 @@ def losses(
 ) -> Losses:
     """Return B such that every schedule of up to this excess keeps a representative within B.
 
-    Half the slack is for merging.  Of B itself 2 x sqrt(B) + x^2 is given away, so B must solve
+    A quarter of the slack is for merging.  Of B itself 2 x sqrt(B) + x^2 is given away, so B must solve
     B = excess + rest + 2 x sqrt(B) + x^2: sqrt(B) = x + sqrt(excess + rest + 2 x^2) does.
     """
     H, _, p = triangle.deviation.shape
     terms = max((len(step.push) for step in steps), default=0) + p
     lengths = sum(step.reach for step in steps) + triangle.length
     x = sum(step.lost for step in steps) + 2 * EPS * (len(triangle.U) + terms + 10) * lengths
-    rest = slack / 2 + triangle.rounding
+    rest = slack / 4 + triangle.rounding
     tests = len(GRIDS) * (1 if triangle.moves.shape[1] == 1 else 2)
     grains = H * (tests + 1) * purse.grain
     rest += purse.multiplier * grains
     budget = (x + math.sqrt(excess + rest + 2 * x * x)) ** 2
     budget *= 1 + (16 + terms) * EPS * H * (tests + 1)  # the roundings of tests and sums
-    return Losses(budget, slack / (2 * H * tests), grains, budget - excess)
+    return Losses(budget, slack / (4 * H * tests), grains, budget - excess)
 
 
 class Ahead(NamedTuple):
