@@ -59,8 +59,8 @@ plt.show()
 # ## Two steps, three broken promises
 #
 # **Luck.** Two models have a mean square error of 1. Measured, each comes out as 0.8 or 1.2, by a
-# coin. You take the one that looks better. In three cases of four one shows 0.8: promised 0.9 on
-# average, paid 1.
+# coin. You take the one that looks better. In three cases of four at least one shows 0.8: promised
+# 0.9 on average, paid 1.
 #
 # **Place.** Errors are 20% of the distance, $\pm 2$ where a drone hovers, 10 ft: promised $4 + 4$.
 # But the first moves it, and the second picture is taken from 8 or 12 ft: paid $4 + 4.16$.
@@ -78,8 +78,8 @@ np.testing.assert_allclose([toy.trace(), toy.sum()], [0.38125, 0.50625])
 # %% [markdown]
 # ## Eight models and 897 pictures
 #
-# Each row is a landing: light, ground and clutter stay (in flight, clutter moves). How the camera
-# is held, with its heading, is drawn anew for every picture.
+# Each row is a landing through one *scene*: light, ground, and clutter (which moves in flight). How
+# the camera is held, with its heading, is drawn anew for every picture.
 
 # %% alt="Grey pictures in eight columns from 100 ft down to 0 ft and four rows: three landings with other light, ground and clutter, a heading drawn for each picture, and the third once more in the coarse pixels of b7. The round pad with its H is a small spot at 100 ft and larger than the picture from 5 ft down." tags=["hide-input"]
 figure = landing.plot_gallery(seed=0)
@@ -89,10 +89,11 @@ plt.show()
 
 # %% [markdown]
 # A camera sees ratios: at twice the distance the pad is half as wide, and to misjudge its width by
-# 10% is to misjudge the distance by 10%. So write an error as $e = z r$, $z$ = altitude + 5 ft.
-# The scaled $r$ still depends on $z$ (far away a pixel is a larger share of the pad; near, the pad
-# overfills the picture, worst for small networks), but less. The 897 pictures, not trained on, are
-# from $z$ = 3 to 140 ft, uniform in $\ln z$. **Prices** count multiplications; that of b7 is 7.
+# 10% is to misjudge the distance by 10%. So write an error as $e = z r$, where $z$ = altitude + 5 ft
+# (the camera sits that high on the drone: `MOUNT`). The scaled $r$ still depends on $z$ (far away a
+# pixel is a larger share of the pad; near, the pad overfills the picture, worst for small networks),
+# but less. The 897 pictures, not trained on, are from $z$ = 3 to 140 ft, uniform in $\ln z$.
+# **Prices** count multiplications; b7 costs 7 a step.
 
 # %%
 trained = landing.learn(0)  # most of the notebook's time: 2093 pictures to train on, 897 others
@@ -127,11 +128,11 @@ plt.show()
 #
 # Mean and variance are $z$ and $z^2$ times those of $r$. *Regret* is control cost beyond that
 # without errors; the *total* is $\alpha$ regret + $\beta$ perception cost, here with 0.6 and 0.4.
-# A rule fixed before any result scales the prices: were the weights 0.8 and 0.2, b7 throughout
-# would cost a fifth of what the errors of b0 throughout cost.
+# A rule fixed before any result scales the prices: b7 throughout costs 0.8 of the regret of b0
+# throughout.
 #
-# `run_experiment` fits the table, poses the problem and solves it. *Predict:* which of the two
-# promises a lower total, and which schedule pays one?
+# `run_experiment` fits the table, poses the problem and solves it. *Predict:* bins or kernel: which
+# promises the lower total, and whose schedule then costs less?
 
 # %%
 chosen = landing.DEFAULTS["trained"] | {"trials": 1}  # the weights, prices and pattern above
@@ -229,24 +230,27 @@ axes.legend()
 plt.show()
 
 # %% [markdown]
-# Under `measurement` it is place that costs. Scenes cost nothing: where $\Psi$ is diagonal, errors
-# of two steps never meet. Under the filter they do, and a table of means and variances cannot know
-# of scenes. (Notebook 2 shows how to choose by covariances.)
+# Under `measurement` it is place that costs. Scenes cost nothing directly: where $\Psi$ is diagonal,
+# errors of two steps never meet. (But errors that stay lead the drone further off.) Under the filter
+# they do, and a table of means and variances cannot know of scenes. (Notebook 2 shows how to choose
+# by covariances.)
 #
 # ## The verdict: five trainings, 1,000 flights each
 #
-# `benchmarks/stages.py` goes on from **bins** and **kernel**, with `measurement`, for five seeds:
+# `benchmarks/stages.py` goes on from **bins** and **kernel**, with `measurement`, for five seeds;
+# each stage adds to the one before:
 #
 # - **calibrated**: a network that is unsure says something in the middle. Report
-#   $E[z \mid \hat z]$ instead of $\hat z$, fitted by the kernel; an error is counted with a fit to
+#   $E[z \mid \hat z]$ instead of its $\hat z$, fitted by the kernel; an error is counted with a fit to
 #   pictures other than its own.
 # - **on-policy**: twice, fly 20 landings with the present optimum, **label** them (note by how much
 #   each network errs), enter that *where the drone should have been*, choose again (DAgger; Ross et
 #   al. 2011).
-# - **filter** instead of `measurement`, on top of that.
+# - **filter** instead of `measurement`.
 #
-# The rival is Best Single, the best constant choice, in the same gusts and scenes. Intervals are
-# over the five trainings; a difference whose interval contains 0 is **undecided**.
+# The rival is Best Single, the best constant choice, in the same gusts and scenes (Greedy is optimal
+# where $\Psi$ is diagonal). Intervals (95%) are over the five trainings; a difference whose interval
+# contains 0 is **undecided**.
 
 # %%
 with open("../benchmarks/results/stages.csv", encoding="utf-8") as file:
@@ -266,10 +270,10 @@ panels[0].set_title("Regret flown / promised")
 panels[1].set_title("Total of Optimal below Best Single (%)")
 plt.show()
 
-# %%
-columns = total, 100 * lead, ratio  # what a stage adds to each of them, without the filter
+# %% tags=["hide-input"]
+columns = 100 * total / total[0].mean(), 100 * lead, ratio  # what a stage adds, without the filter
 added = np.array([flights.estimate(*np.diff(values[:4], axis=0)) for values in columns])
-print("adds to                  total                   lead, %          flown/promised")
+print("adds to    total, % of bins's                 lead, %          flown/promised")
 for k, stage in enumerate(STAGES[1:4]):
     cells = (f"{a:6.2f} ± {h:.2f}{'' if abs(a) > h else ' undecided'}" for a, h in added[:, k])
     print(f"{stage:10}", *(f"{cell:>23}" for cell in cells))
@@ -290,7 +294,8 @@ assert decided.T.tolist() == [[True, True, False], [True, False, True], [False, 
 # Pooling by distance lessens the first. Calibration brings the payment nearer to the promise;
 # whether labelled landings bring it nearer yet, five trainings leave open. The third matters once a
 # filter adds errors up, and no table of means and variances knows it. Choosing pays, by 11 ± 4% of
-# the total of the best single model with the kernel alone; what the rest adds is undecided.
+# the total of the best single model with the kernel alone; what the rest adds to this lead is
+# undecided.
 #
 # ## Recall
 #
@@ -342,8 +347,9 @@ print("Exercise 1: right")
 # ### Exercise 2: an honest promise without new pictures
 #
 # Cross-fit: for each fold (an array of picture numbers) choose the schedule by all *other*
-# pictures, and judge it by the fold. Return two averages over the folds: the total cost promised,
-# and the one judged. (One split can say the opposite by chance: let each picture judge once.)
+# pictures, and judge it by the fold, both with `fit`. Return two averages over the folds: the total
+# cost promised, and the one judged. (One split can say the opposite by chance: let each picture
+# judge once.)
 
 
 # %% tags=["exercise"]
