@@ -73,8 +73,8 @@ def losses(
 ) -> Losses:
     """Return B such that every schedule of up to this excess keeps a representative within B.
 
-    A quarter of the slack is for merging.  Of B itself 2 x sqrt(B) + x^2 is given away, so B must solve
-    B = excess + rest + 2 x sqrt(B) + x^2: sqrt(B) = x + sqrt(excess + rest + 2 x^2) does.
+    A quarter of the slack is for merging.  Of B itself 2 x sqrt(B) + x^2 is given away, so B must
+    solve B = excess + rest + 2 x sqrt(B) + x^2: sqrt(B) = x + sqrt(excess + rest + 2 x^2) does.
     """
     H, _, p = triangle.deviation.shape
     terms = max((len(step.push) for step in steps), default=0) + p
