@@ -67,7 +67,7 @@ class Schedule(Stored):
 
     @property
     def proof(self) -> str:
-        """What carries `lower_bound`: "root", the certificate, or "search", a search's word."""
+        """What carries `lower_bound`: "root", the certificate, or "search", a solver's word."""
         return "root" if self.lower_bound <= self.root_bound else "search"
 
     @property
