@@ -68,10 +68,11 @@ class Sensitivity(Stored):
     forward: bool  #: whether it runs from the first step to the last
 
     def __post_init__(self) -> None:
-        (H, q, p), n = np.shape(self.own), np.shape(self.push)[1]
-        shapes = {"own": (H, q, p), "read": (H, q, n), "carry": (H, n, n), "push": (H, n, p)}
-        for name, shape in shapes.items():
-            self._set(**{name: check_array(name, getattr(self, name), "H i j", shape)})
+        H, q, p = check_array("own", self.own, "H q p", (None, None, None)).shape
+        n = check_array("push", self.push, "H n p", (H, None, p)).shape[1]
+        shapes = {"H q p": (H, q, p), "H q n": (H, q, n), "H n n": (H, n, n), "H n p": (H, n, p)}
+        for name, axes in zip(("own", "read", "carry", "push"), shapes, strict=True):
+            self._set(**{name: check_array(name, getattr(self, name), axes, shapes[axes])})
         on = np.concatenate([self.read, self.carry], axis=1)
         if np.abs(on.swapaxes(1, 2) @ on - np.eye(n)).max(initial=0) > MATRIX_TOLERANCE:
             raise ValueError("carry: expected [read; carry] of orthonormal columns, found others")

@@ -302,6 +302,17 @@ def test_labels_that_a_margin_drops_lead_to_no_schedule_within_the_budget(seed, 
         assert dominated.any() or (whole[j] >= budget - 1e-12).all()
 
 
+@pytest.mark.parametrize("seed", range(12))
+def test_the_plain_programme_pays_for_moves_from_where_it_is(seed):
+    rng = np.random.default_rng(seed)
+    g, switch = rng.normal(size=(5, 2)), rng.random((3, 3)) * (1 - np.eye(3))
+    mean, price = rng.normal(size=(5, 3, 1)), rng.random(3)
+    problem = SelectionProblem(g @ g.T, mean, 0 * mean, price, switch_cost=switch)
+    plain, least = ms.plain_dynamic_program(problem), ms.enumerate_schedules(problem).cost
+    assert plain.is_optimal and plain.cost == pytest.approx(least, rel=1e-12)
+    assert plain.lower_bound <= least * (1 + 1e-12)
+
+
 def test_where_a_budget_makes_nodes_slow_passes_have_all_of_a_limit(monkeypatch):
     rng, now, step = np.random.default_rng(5), [0.0], passes.Search.step
     g, mean = rng.normal(size=(30, 2)), rng.normal(size=(30, 4, 1))

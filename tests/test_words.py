@@ -312,6 +312,7 @@ def plant(**changes):
 WEIGHTS = [[1.0]], [[1.0]], [[1.0]], 2
 EVEN = np.full((2, 3), 1 / 3)
 COUPLED = np.array([[2.0, 1], [1, 2]])
+SYSTEM = ms.sensitivity(task(), "preview")
 DOCUMENT = '{"format": "modelselect.Schedule", "version": 1}'
 REFUSED |= {
     # ---- solvers
@@ -354,6 +355,10 @@ REFUSED |= {
     "correlation: expected 1 on the diagonal d, found 2.0; divide by "
     "np.sqrt(np.outer(d, d))": lambda: ms.persistent_bias(
         np.ones((3, 1)), np.ones((2, 3, 1)), correlation=2 * np.eye(3)
+    ),
+    "correlation: expected a positive semidefinite matrix, found smallest eigenvalue -1 (of the "
+    "matrix scaled to unit diagonal)": lambda: ms.persistent_bias(
+        np.ones((2, 1)), np.ones((2, 2, 1)), correlation=[[1, 2], [2, 1]]
     ),
     "integers: expected a sum of at most 1e7, found 10000001": lambda: ms.partition_problem(
         [10_000_000, 1]
@@ -400,6 +405,26 @@ REFUSED |= {
     ),
     "system: expected a StateSpace with A, B and dt, found int": lambda: (
         ms.ControlTask.from_statespace(3, *WEIGHTS)
+    ),
+    "system.A: expected shape (n, n) = (3, 3), found (2, 3)": lambda: (
+        ms.ControlTask.from_statespace(plant(A=np.ones((2, 3))), *WEIGHTS)
+    ),
+    "system.B: expected shape (n, m) = (1, m), found (2, 1)": lambda: (
+        ms.ControlTask.from_statespace(plant(B=np.ones((2, 1))), *WEIGHTS)
+    ),
+    "own: expected shape (H, q, p) = (H, q, p), found (3,); did you mean np.reshape(own, (3, 1, "
+    "1))?": lambda: replace(SYSTEM, own=S[:3, 0]),
+    "push: expected shape (H, n, p) = (2, n, 1), found (2, 3, 2)": lambda: replace(
+        SYSTEM, push=np.ones((2, 3, 2))
+    ),
+    "read: expected shape (H, q, n) = (2, 1, 1), found (2, 1, 2)": lambda: replace(
+        SYSTEM, read=np.ones((2, 1, 2))
+    ),
+    "carry: expected shape (H, n, n) = (2, 1, 1), found (1, 1)": lambda: replace(
+        SYSTEM, carry=np.ones((1, 1))
+    ),
+    "carry: expected [read; carry] of orthonormal columns, found others": lambda: replace(
+        SYSTEM, carry=9 * SYSTEM.carry
     ),
     "system: expected one with a time base, found dt = None": lambda: (
         ms.ControlTask.from_statespace(plant(dt=None), *WEIGHTS)
