@@ -85,8 +85,10 @@ def test_the_experiment_lands_on_views_that_no_fit_has_seen():
     assert flown.startswith("1000 flights each on views that no fit has seen")
     assert flown == landing.report_measured(run)  # the same seed, the same views
     row = next(line for line in flown.splitlines() if line.startswith("Optimal"))
-    promised, regret = (float(word) for word in row.split()[1:3])
+    promised, regret, total = (float(word) for word in row.split()[1:4])
     assert 0.5 < promised / regret < 1.5
+    paid = run.problem.beta * run.problem.perception_term(run.optimal.choices)
+    assert total == pytest.approx(run.settings.alpha * regret + paid, rel=2e-3)
 
 
 def test_files_of_others_are_flown_too(tmp_path):
