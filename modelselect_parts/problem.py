@@ -160,15 +160,13 @@ class SelectionProblem(Stored):
     def from_suite(cls, psi: Array | Sensitivity, suite: Suite, **given: Any) -> Self:
         """Pose the problem of a suite's means, variances and, unless `given`, costs.
 
-        A `model_cost` may be by name, too.  Everything else that a problem takes may be given:
-        alpha, budget, switch_cost.  A suite whose models sometimes gave nothing (`miss_rate`) says
-        how they err when they do not, which is too good: `perception.with_dropouts` adds what
-        happens then.
+        A `model_cost` may be by name, too; all else that a problem takes may be given.  A suite
+        whose models sometimes gave nothing (`miss_rate`) says how they err when they do not, which
+        is too good: `perception.with_dropouts` adds what happens then.
         """
         if not all(hasattr(suite, name) for name in ("mean", "variance", "cost")):
             raise ValueError(f"suite: expected PerceptionSuite, found {type(suite).__name__}")
-        rate = getattr(suite, "miss_rate", None)
-        if rate is not None and np.any(rate):
+        if np.any(getattr(suite, "miss_rate", None)):
             left_out = "suite: looks that gave nothing are left out; see with_dropouts"
             warnings.warn(left_out, stacklevel=2)
         price = given.pop("model_cost", suite.cost)

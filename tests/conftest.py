@@ -1,4 +1,4 @@
-"""Hypothesis profiles; HYPOTHESIS_PROFILE chooses one, `dev` is the default.
+"""Hypothesis profiles, and a clock for searches; HYPOTHESIS_PROFILE chooses one, `dev` by default.
 
 dev       a few new examples in every run; a failure is kept and replayed, and prints its blob
 ci        more examples, the same ones every time
@@ -13,6 +13,9 @@ os.environ.setdefault("MPLBACKEND", "Agg")  # figures are drawn without a screen
 
 import pytest
 from hypothesis import HealthCheck, settings
+
+import modelselect as ms
+from modelselect_parts import passes
 
 # Times are no verdict on a shared machine: no deadline, and slow generation is no failure.
 settings.register_profile(
@@ -44,3 +47,17 @@ if PROFILE == "mutation":
             return (yield)
         finally:
             signal.setitimer(signal.ITIMER_PROF, 0)
+
+
+@pytest.fixture
+def ten_seconds_a_pass(monkeypatch):
+    """Let a pass of the search take ten seconds of a clock that else stands still; return it."""
+    now, step = [0.0], passes.Search.step
+
+    def slow(search, width):
+        now[0] += 10
+        return step(search, width)
+
+    monkeypatch.setattr(passes.Search, "step", slow)
+    monkeypatch.setattr(ms, "perf_counter", lambda: now[0])
+    return now

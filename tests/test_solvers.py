@@ -15,7 +15,7 @@ from scipy.optimize import lsq_linear
 
 import modelselect as ms
 from modelselect import SelectionProblem
-from modelselect_parts import dominance, passes, trellis
+from modelselect_parts import dominance, trellis
 from modelselect_parts import triangle as triangle_part
 from modelselect_parts.semidefinite import cholesky_solver
 from perception import published_suite, textbook_suite
@@ -670,18 +670,13 @@ def test_what_a_long_pass_would_take_most_of_goes_to_branch_and_bound(monkeypatc
     assert not given
 
 
-def test_passes_that_have_closed_much_of_the_gap_go_on_however_long_they_take(monkeypatch):
-    problem, now, step = known_suite(5, H=40, rank=3), [0.0], passes.Search.step
-
-    def slow(search, width):  # each pass takes ten seconds
-        now[0] += 10
-        return step(search, width)
-
-    monkeypatch.setattr(passes.Search, "step", slow)
+def test_passes_that_have_closed_much_of_the_gap_go_on_however_long_they_take(
+    monkeypatch, ten_seconds_a_pass
+):
     monkeypatch.setattr(ms, "WIDTHS", [8 * 4**k for k in range(8)])
-    monkeypatch.setattr(ms, "perf_counter", lambda: now[0])
     monkeypatch.setattr(ms, "branch_and_bound", None)
-    assert ms.solve(problem, time_limit=100).is_optimal and now[0] > 10
+    schedule = ms.solve(known_suite(5, H=40, rank=3), time_limit=100)
+    assert schedule.is_optimal and ten_seconds_a_pass[0] > 10
 
 
 def test_schedule_gap_is_relative_to_the_larger_of_cost_and_bound():
