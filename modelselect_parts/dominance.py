@@ -42,8 +42,8 @@ class Pairs(NamedTuple):
 
     paid: Array  #: (labels,)
     room: Array  #: (labels,)
-    y: Array  #: (labels, r)
-    near: Array  #: (labels, r'), the coordinates that tell labels apart
+    y: Array  #: (r, labels)
+    near: Array  #: (r', labels), the coordinates that tell labels apart, the widest first
     far: float  #: what the others add to rho^2 at most
 
     def never_worse(self, i: Choices, j: Choices, due: Array) -> Mask:
@@ -57,7 +57,7 @@ class Pairs(NamedTuple):
         i, j, due = i[hope], j[hope], due[hope]
         rho2 = _apart(self.near, i, j)
         well = self._within(i, j, rho2, due)
-        if self.near is not self.y:  # rho^2 is not known where it matters
+        if self.far:  # rho^2 is not known where it matters
             close = np.flatnonzero(well & ~self._within(i, j, rho2 + self.far, due))
             well[close] = self.never_worse(i[close], j[close], due[close])
         passed[hope] = well
@@ -81,17 +81,19 @@ def undominated(
     """Mark the labels, sorted by extra cost, that no cheaper label nearby makes superfluous.
 
     All are in one `state` where none is given; without `detour` none stands for another state.
-    A grid is passed over once for labels of one state, and with detours once for all.
+    A grid is passed over once for labels of one state, and with detours once for all, until one
+    drops less than a fiftieth.
     """
     paid = extra if spent is None else extra - multiplier * spent
     alive = np.arange(len(extra)) if spent is None else np.argsort(spent, kind="stable")
     rank = None if spent is None else _ranks(paid)
     largest = float(room.max(initial=0))
     many = state is not None and len(extra) >= MANY
-    pairs = Pairs(paid, room, y, *(_telling(y, TELLING * largest) if many else (y, 0.0)))
-    powers = np.cumprod(np.full(pairs.near.shape[1] + 1, ODD, dtype=np.uint64))
+    near, spread, far = _telling(y, TELLING * largest)
+    pairs = Pairs(paid, room, y, near, far)
+    powers = np.cumprod(np.full(len(near) + 1, ODD, dtype=np.uint64))
     fruitful = [True] if detour is None or not many else [True, True]
-    for halvings in GRIDS:
+    for halvings in GRIDS if merge >= 0 else GRIDS[:-1]:  # no margin is between equal labels
         if len(alive) < 2 or largest == 0 or expired():
             break
         if len(alive) <= FEW:
@@ -100,8 +102,9 @@ def undominated(
         if not (any(fruitful) or halvings == GRIDS[-1]):
             continue
         side = largest / 2**halvings
-        corner = np.floor(pairs.near.take(alive, axis=0) / side + 0.618 * halvings)
-        cell = corner.astype(np.int64).view(np.uint64) @ powers[:-1]  # grids share no borders
+        k = np.count_nonzero(spread > side)  # all labels are within a cell, in the others
+        corner = np.floor(near[:k].take(alive, axis=1) / side + 0.618 * halvings)
+        cell = powers[:k] @ corner.astype(np.int64).view(np.uint64)  # grids share no borders
         for across in range(len(fruitful)):
             if not (fruitful[across] or halvings == GRIDS[-1]):
                 continue
@@ -116,7 +119,7 @@ def undominated(
                 due -= detour[state[i], state[j]]
             test = pairs.screened if many else pairs.never_worse
             gone = tested[test(i, j, due)]
-            fruitful[across] = halvings < 2 or len(gone) > len(alive) / 100
+            fruitful[across] = halvings < 2 or len(gone) > len(alive) / 50
             stays = np.ones(len(alive), dtype=bool)
             stays[gone] = False
             alive, cell = alive[stays], cell[stays]
@@ -129,13 +132,13 @@ def _of_all_pairs(
     pairs: Pairs, alive: Choices, merge: float, state: Choices | None, detour: Array | None
 ) -> Mask:
     """Mark which of a few labels stay: a label goes if one before it that stays is never worse."""
-    y, paid, due = pairs.y[alive], pairs.paid[alive], pairs.paid[alive] + merge
+    y, paid, due = pairs.y[:, alive], pairs.paid[alive], pairs.paid[alive] + merge
     if state is not None:
         i, j = state[alive][:, None], state[alive]
         due = np.where(i == j, due, -np.inf) if detour is None else due - detour[i, j]
     rho2 = np.zeros((len(alive), len(alive)))
-    for column in y.T:
-        rho2 += np.subtract.outer(column, column) ** 2
+    for coordinate in y:
+        rho2 += np.subtract.outer(coordinate, coordinate) ** 2
     better = np.triu(paid[:, None] + 2 * np.sqrt(rho2) * pairs.room[alive] + rho2 <= due, 1)
     stays = np.zeros(len(alive), dtype=bool)
     asked = ~stays
@@ -163,15 +166,21 @@ def detours(moves: Array, t: int) -> Array | None:
 
 def _apart(y: Array, i: Choices, j: Choices) -> Array:
     """Return rho^2 of pairs of labels."""
-    apart = y.take(i, axis=0) - y.take(j, axis=0)
-    return np.asarray(np.einsum("ij,ij->i", apart, apart))
+    apart = y.take(i, axis=1) - y.take(j, axis=1)
+    apart *= apart
+    return np.asarray(apart.sum(axis=0))
 
 
-def _telling(y: Array, least: float) -> tuple[Array, float]:
-    """Return the columns of y in which labels differ by more than `least`; what others add."""
-    spread = np.ptp(y, axis=0)
-    tells = spread > least
-    return (y, 0.0) if tells.all() else (y[:, tells], float((spread[~tells] ** 2).sum()))
+def _telling(y: Array, least: float) -> tuple[Array, Array, float]:
+    """Return the coordinates in which labels differ by more than `least`; what others add.
+
+    The widest come first, with their widths between.
+    """
+    spread = y.max(axis=1, initial=-np.inf) - y.min(axis=1, initial=np.inf)
+    order = np.argsort(-spread)
+    k = np.count_nonzero(spread > least)
+    far = spread[order[k:]]
+    return y[order[:k]], spread[order[:k]], float(far @ far)
 
 
 def _first_of_cell(cell: Cells) -> Choices:

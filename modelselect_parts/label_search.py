@@ -112,7 +112,7 @@ class Labels(NamedTuple):
 
     extra: Array  #: (labels,), their excess so far
     spent: Array  #: (labels,), of the limit; 0 where there is none
-    y: Array  #: (labels, r), their offsets in coordinates
+    y: Array  #: (r, labels), their offsets in coordinates
     state: Choices  #: (labels,), the model of their first step; 0 where moves are free
 
 
@@ -148,7 +148,7 @@ def search(
     """
     H, dropped, rests = len(steps), math.inf, 0
     ahead = ahead or Ahead(np.zeros(H), H, np.zeros(H))
-    nothing, offset = np.zeros(1), np.zeros((1, steps[-1].read.shape[1]))
+    nothing, offset = np.zeros(1), np.zeros((steps[-1].read.shape[1], 1))
     labels = Labels(nothing, nothing, offset, np.zeros(1, dtype=np.intp))
     trail: list[tuple[Choices, Choices]] = []
     for t, step in reversed(list(enumerate(steps))):
@@ -161,7 +161,7 @@ def search(
             dropped = min(dropped, float(labels.extra[kept[most]] + ahead.least[t]))
         kept = kept[:most]
         extra, spent, y, state = labels
-        labels = Labels(extra[kept], spent[kept], y.take(kept, axis=0), state[kept])
+        labels = Labels(extra[kept], spent[kept], y.take(kept, axis=1), state[kept])
         trail.append((parent[kept], model[kept]))
     extra, spent = labels.extra, labels.spent
     if purse.spend is not None:  # what is left of the limit is paid for
@@ -200,7 +200,7 @@ def _survivors(
         alive = np.flatnonzero(undominated(extra, y, room, -margin, expired, here))
         if rests:
             return alive, rests - 1
-    y, room = y[alive], room[alive]
+    y, room = y.take(alive, axis=1), room[alive]
     who = None if here is None else here[alive], None, spent[alive], purse.multiplier
     kept = undominated(extra[alive], y, room, given.merge, expired, *who)
     return alive[kept], RESTS if 3 * kept.sum() > 2 * len(alive) else 0
@@ -222,9 +222,9 @@ def _extended(
     moves, free = triangle.moves[t], triangle.moves.shape[1] == 1
     models = np.flatnonzero(moves.min(axis=0) <= given.budget)
     deviation = triangle.deviation[t, models]
-    felt = ((labels.y @ step.read.T)[:, None] + deviation @ step.own.T) ** 2
+    felt = ((step.read @ labels.y)[:, :, None] + (step.own @ deviation.T)[:, None]) ** 2
     move = moves[0, models] if free else moves[:, models][labels.state]
-    grown = labels.extra[:, None] + move + felt.sum(axis=-1)
+    grown = labels.extra[:, None] + move + felt.sum(axis=0)
     within, total = grown + before <= given.budget, labels.spent[:, None] + np.zeros(len(models))
     if purse.spend is not None and purse.ahead is not None:
         spend = purse.spend[t, :, models].T
@@ -233,8 +233,8 @@ def _extended(
     parent, child = np.nonzero(within)
     order = np.argsort(grown[parent, child])
     parent, child = parent[order], child[order]
-    y = (labels.y @ step.carry.T).take(parent, axis=0)
-    y += (deviation @ step.push.T).take(child, axis=0)
+    y = (step.carry @ labels.y).take(parent, axis=1)
+    y += (step.push @ deviation.T).take(child, axis=1)
     state = np.zeros(len(child), dtype=np.intp) if free else models[child]
     found = Labels(grown[parent, child], total[parent, child], y, state)
     return found, parent, models[child]

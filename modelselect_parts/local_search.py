@@ -69,13 +69,12 @@ def swap_blocks(
 ) -> tuple[Choices, int]:
     """Take the best change of an interval of steps to one model while it helps; count them.
 
-    Where moves cost something, changing one step alone pays two of them.  With D the change of the
-    mean error and C the sums of D_t'M_ts D_s over all earlier t and s, the interval from a to b
-    changes mu_c'M mu_c by what lies between four corners of C, plus 2 D'M mu_c.
+    Where moves cost something, changing one step alone pays two of them.
     """
-    (H, W, _), c, count = form.mean.shape, choices.copy(), 0
+    (H, W, p), c, count = form.mean.shape, choices.copy(), 0
     while time_left() > 0 and count < 10 * H:
-        best = min(((*_best_interval(form, c, w), w) for w in range(W)), key=lambda found: found[0])
+        felt = (form.matrix @ form.mean[np.arange(H), c].ravel()).reshape(H, p)
+        best = min((*_best_interval(form, c, w, felt), w) for w in range(W))
         change, first, last, w = best
         if not change < -noise:
             break
@@ -83,44 +82,49 @@ def swap_blocks(
     return c, count
 
 
-def _best_interval(form: Form, c: Choices, w: int) -> tuple[float, int, int]:
-    """Return the change, first and last step of the best interval to change to model w."""
+def _best_interval(form: Form, c: Choices, w: int, felt: Array) -> tuple[float, int, int]:
+    """Return the change, first and last step of the best interval to change to model w.
+
+    With D the change of the mean error, and C[a, b] the sum of D_t'M_ts D_s over t < a and s < b,
+    that from a to b changes mu_c'M mu_c by C[a, a] + C[b+1, b+1] - 2 C[a, b+1] + 2 D'M mu_c.
+    """
     H, _, p = form.mean.shape
-    steps, now = np.arange(H), form.mean[np.arange(H), c]
-    D = form.mean[:, w] - now
-    felt = (form.matrix @ now.ravel()).reshape(H, p)
-    coupled = np.einsum("ti,tisj,sj->ts", D, form.matrix.reshape(H, p, H, p), D)
-    corner = np.zeros((H + 1, H + 1))
-    coupled.cumsum(axis=0).cumsum(axis=1, out=corner[1:, 1:])
-    change = corner.diagonal()[None, 1:] - corner[:-1, 1:] - corner[1:, :-1].T
-    change = change + corner.diagonal()[:-1, None] + _interval_sum(2 * (D * felt).sum(axis=1))
-    change += _of_interval(form.linear, form.arc, c, w)
-    legal = steps[:, None] <= steps
+    D = form.mean[:, w] - form.mean[np.arange(H), c]
+    C = np.zeros((H + 1, H + 1))
+    coupled = (form.matrix * np.outer(D, D)).cumsum(axis=0).cumsum(axis=1)
+    C[1:, 1:] = coupled[p - 1 :: p, p - 1 :: p]
+    first, last = _ends(form.linear, form.arc, c, w)
+    into, out = _sums(2 * (D * felt).sum(axis=1))
+    first, last = first + into + C.diagonal()[:-1], last + out + C.diagonal()[1:]
+    change = first[:, None] + last - 2 * C[:-1, 1:]
+    change[np.tri(H, k=-1, dtype=bool)] = np.inf
     if form.price is not None:
-        more = _of_interval(form.price, form.toll, c, w)
-        legal &= path_sum(form.price, form.toll, c) + more <= form.limit
-    change = np.where(legal, change, np.inf)
-    first, last = np.unravel_index(change.argmin(), change.shape)
-    return float(change[first, last]), int(first), int(last)
+        more = np.add.outer(*_ends(form.price, form.toll, c, w))
+        change[path_sum(form.price, form.toll, c) + more > form.limit] = np.inf
+    missing = np.isinf(form.linear[:, w])
+    if missing.any():
+        change[np.add.outer(*_sums(missing)) > 0] = np.inf
+    a, b = divmod(int(change.argmin()), H)
+    return float(change[a, b]), a, b
 
 
-def _interval_sum(values: Array) -> Array:
-    """Return the sum from step a to step b, [a, b]."""
-    total = np.zeros(len(values) + 1)
-    values.cumsum(out=total[1:])
-    return total[1:] - total[:-1, None]
+def _sums(values: Array) -> tuple[Array, Array]:
+    """Return first and last such that steps a to b sum to first[a] + last[b]."""
+    total = np.append(0.0, np.cumsum(values))
+    return -total[:-1], total[1:]
 
 
-def _of_interval(node: Array, arc: Array | None, c: Choices, w: int) -> Array:
-    """Return what model w from step a to step b changes in the sum of nodes and arcs, [a, b]."""
-    steps, missing = np.arange(len(node)), np.isinf(node[:, w])
-    change = _interval_sum(np.where(missing, 0, node[:, w] - node[steps, c]))
+def _ends(node: Array, arc: Array | None, c: Choices, w: int) -> tuple[Array, Array]:
+    """Return what model w from step a to step b changes in nodes and arcs: first[a] + last[b]."""
+    missing = np.isinf(node[:, w])
+    first, last = _sums(np.where(missing, 0, node[:, w] - node[np.arange(len(node)), c]))
     if arc is not None:
-        old = arc[c[:-1], c[1:]]
-        change -= _interval_sum(np.append(0.0, old)) - np.append(0.0, old)[:, None]  # inside
-        change += np.append(0.0, arc[c[:-1], w] - old)[:, None]
-        change += np.append(arc[w, c[1:]] - old, 0.0)
-    return np.where(_interval_sum(missing * 1.0) > 0, np.inf, change) if missing.any() else change
+        old = np.append(0.0, arc[c[:-1], c[1:]])  # the move into each step
+        inside = old.cumsum()
+        first, last = first + inside, last - inside
+        first[1:] += arc[c[:-1], w] - old[1:]
+        last[:-1] += arc[w, c[1:]] - old[1:]
+    return first, last
 
 
 def descend(

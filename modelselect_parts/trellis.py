@@ -72,23 +72,34 @@ class Certificate(NamedTuple):
     """LB(d, lam), and what it says of single models."""
 
     bound: float
-    reduced: Array  #: (H, W), >= 0: every schedule with model w at step t costs so much more
-    base: float  #: `bound` = base + cheapest path of `node` and A = `Form.priced`
+    base: float  #: `bound` = base + cheapest path of `node` and `arc`
     node: Array  #: (H, W), G less each step's least
+    arc: Array | None  #: A = `Form.priced`
     taken: float  #: `base` and a path of `node` are at most so much too low, for rounding
+
+    @property
+    def reduced(self) -> Array:
+        """What every schedule with model w at step t costs more than the bound, (H, W), >= 0."""
+        if self.arc is None:
+            return self.node
+        paths = through(self.node, self.arc)
+        return np.asarray(np.maximum(paths - paths[-1].min(), 0))
 
 
 # ------------------------------------------------------------------------------ cheapest paths
 
 
 def forward(node: Array, arc: Array | None) -> Array:
-    """Return F[t, w], the cheapest path that ends with model w at step t (Viterbi): O(H W^2)."""
+    """Return F[t, w], the cheapest path that ends with model w at step t (Viterbi): O(H W^2).
+
+    Of several problems side by side: node (H, ..., W), arc (..., W, W).
+    """
     if arc is None:
         before = np.cumsum(node.min(axis=1)) - node.min(axis=1)
         return np.asarray(before[:, None] + node)
     F = node.copy()
     for before, here in pairwise(F):
-        here += np.minimum.reduce(before[:, None] + arc, axis=0)
+        here += np.minimum.reduce(before[..., None] + arc, axis=-2)
     return F
 
 
@@ -97,8 +108,8 @@ def through(node: Array, arc: Array | None) -> Array:
     if arc is None:
         lowest = node.min(axis=1)
         return np.asarray(node + (lowest.sum() - lowest)[:, None])
-    both = forward(node, arc) + forward(node[::-1], arc.T)[::-1]
-    return np.asarray(both - np.where(node < np.inf, node, 0))
+    ways = forward(np.stack([node, node[::-1]], axis=1), np.stack([arc, arc.T]))
+    return np.asarray(ways[:, 0] + ways[::-1, 1] - np.where(node < np.inf, node, 0))
 
 
 def cheapest_path(node: Array, arc: Array | None) -> Choices:
@@ -195,11 +206,10 @@ def certificate(form: Form, d: Array, multiplier: float = 0.0) -> Certificate:
         worst = np.where(np.isfinite(linear), size + np.abs(price), 0).max(axis=1).sum()
         taken = float(2 * unit * (worst + np.abs(d) @ felt + common))
         if A is None:
-            return Certificate(float(base), node, float(base), node, taken)
-        paths = through(node, A)
-        least = paths[-1].min()  # a sum of 2H non-negative numbers, each of a few roundings
+            return Certificate(float(base), float(base), node, A, taken)
+        least = forward(node, A)[-1].min()  # of 2H non-negative numbers, each of a few roundings
         bound = base + least * (1 - (2 * len(node) + 8) * EPS) - EPS * abs(base)
-    return Certificate(float(bound), np.maximum(paths - least, 0), float(base), node, taken)
+    return Certificate(float(bound), float(base), node, A, taken)
 
 
 def lacking(form: Form, d: Array) -> Array:

@@ -180,7 +180,7 @@ def test_only_labels_that_spent_no_less_are_dominated(seed, dimensions, labels, 
     room = np.sqrt(1 - extra)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(dominance, "FEW", few)
-        kept = dominance.undominated(extra, y, room, 0.0, lambda: False, state, None, spent, 0.5)
+        kept = dominance.undominated(extra, y.T, room, 0.0, lambda: False, state, None, spent, 0.5)
     paid = extra - 0.5 * spent
     assert kept.any()
     for j in np.flatnonzero(~kept):
@@ -204,7 +204,7 @@ def test_a_label_of_another_model_costs_no_more_whatever_comes_before(seed, labe
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(dominance, "MANY", many)
         patch.setattr(dominance, "FEW", few)
-        kept = dominance.undominated(extra, y, room, 0.0, lambda: False, state, detour)
+        kept = dominance.undominated(extra, y.T, room, 0.0, lambda: False, state, detour)
     v = rng.normal(size=(40, 3)) / 4
     whole = extra[:, None] + ((v + y[:, None]) ** 2).sum(axis=-1)
     whole = whole[:, None] + moves[0, state][:, :, None]  # [label, model before, v]
@@ -283,7 +283,7 @@ def test_labels_that_a_margin_drops_lead_to_no_schedule_within_the_budget(seed, 
     given_ = label_search.Losses(budget, 0.0, 0.0, 0.0)
     room = np.sqrt(np.maximum(budget - extra, 0))
     purse = triangles.Purse(0.5, np.zeros((1, 2, 2)), None, 1.0, 1.0, 0.0)
-    partial = label_search.Labels(extra, spent, y, state)
+    partial = label_search.Labels(extra, spent, y.T, state)
     expired = lambda: False  # noqa: E731
     margins, detour = (np.inf, budget - floor), np.zeros((2, 2))
     told = purse, given_

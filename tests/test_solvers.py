@@ -298,7 +298,7 @@ def test_only_dominated_labels_are_discarded(seed, dimensions, labels, whole, fe
     )
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(dominance, "FEW", 60 * few)
-        kept = dominance.undominated(extra, y, np.sqrt(1 - extra), 0.0, lambda: False)
+        kept = dominance.undominated(extra, y.T, np.sqrt(1 - extra), 0.0, lambda: False)
     assert kept[0]
     for j in range(1, labels):
         rho = np.linalg.norm(y[:j] - y[j], axis=1)
@@ -312,7 +312,7 @@ def test_only_dominated_labels_are_discarded(seed, dimensions, labels, whole, fe
 
 def test_equal_offsets_merge_although_they_differ_by_rounding():
     y = np.array([[0.1 + 0.2], [0.3], [-1e-17], [1e-17]])
-    kept = dominance.undominated(np.zeros(4), y, np.ones(4), 1e-10, lambda: False)
+    kept = dominance.undominated(np.zeros(4), y.T, np.ones(4), 1e-10, lambda: False)
     assert kept.sum() == 2
 
 
