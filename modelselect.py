@@ -640,7 +640,7 @@ def _price_the_budget(
 
     known = passes.Cut(search.cost, float(problem.perception_term(search.choices)))
     lam = passes.best_price(cut, limit, known, search.point[1], search.expired)
-    found = _searched(priced(lam), tried[lam], PRICING_GAP, WIDTHS[4], time_left, 2)
+    found = _searched(priced(lam), tried[lam], PRICING_GAP, WIDTHS[4], time_left, skipped=2)
     search.offer(found.choices)
     lower, size = found.lower_bound, (problem.beta + lam) * most + lam * abs(limit)
     bound = float(lower - lam * limit - 8 * trellis.EPS * (size + abs(lower)))

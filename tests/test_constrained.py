@@ -340,6 +340,27 @@ def test_a_price_of_the_budget_proves_what_the_relaxation_leaves_open():
     assert without.lower_bound <= found.cost <= without.cost
 
 
+@given(SEEDS)
+def test_the_best_interval_of_steps_goes_to_one_model_until_none_helps(seed):
+    problem = a_problem(seed)
+    H, W, _ = problem.mean.shape
+    intervals = [slice(a, b + 1) for b in range(H) for a in range(b + 1)]
+
+    def best_change(c):
+        near = np.array([c] + [c] * len(intervals) * W)
+        for k, (part, w) in enumerate(itertools.product(intervals, range(W))):
+            near[k + 1, part] = w
+        return problem.total_cost(near[problem.is_feasible(near)]).min()
+
+    form, start = problem.form, trellis.cheapest_path(problem._price, problem.switch_cost)
+    clock = iter([1.0, 0.0])
+    once, _ = local_search.swap_blocks(form, start, 1e-9, lambda: next(clock))
+    end, _ = local_search.swap_blocks(form, start, 1e-9, lambda: 1.0)
+    assert problem.is_feasible(np.array([once, end])).all()
+    assert problem.total_cost(once) == pytest.approx(best_change(start), abs=2e-9)
+    assert problem.total_cost(end) == pytest.approx(best_change(end), abs=2e-9)
+
+
 def test_schedules_are_disturbed_where_no_single_change_helps():
     switch = np.array([[0, 1.0], [1, 0]])
     problem = SelectionProblem(
