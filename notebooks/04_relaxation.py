@@ -80,8 +80,8 @@ plt.show()
 # $$f(b) = LB(d) + \sum_{tw} r_{tw} b_{tw}, \qquad LB(d) \le \min f .$$
 #
 # The sum is the **duality gap** of Frank and Wolfe: how far $f(b)$ can be from the minimum, known
-# without the minimum. At the minimum it is 0, as no weight is where $r > 0$ (moving it would gain):
-# **max LB = min f**.
+# without the minimum. So you can stop at any iterate. At the minimum it is 0, as no weight is where
+# $r > 0$ (moving it would gain): **max LB = min f**.
 
 
 # %%
@@ -148,8 +148,6 @@ axes.legend()
 plt.show()
 
 # %% [markdown]
-# The gap is never below the error, and any iterate has one: you can stop on it.
-#
 # ## From weights to a schedule
 #
 # The cart of notebook 0, 40 steps and three models:

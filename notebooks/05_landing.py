@@ -172,7 +172,6 @@ assert 50 < paid / seen < 52 and noise / paid < 0.001  # of Optimal
 # 33% more.)
 #
 # **Greedy** sees a small part of the bill: each of 150 errors meets 149 of its own sign.
-#
 # **Noise** is less than 0.1% of what Optimal's bias costs. So this experiment cannot show "how the
 # variance of the perception models matters".
 #
