@@ -88,7 +88,7 @@ plt.show()
 # -(x_1 + \hat s_1)/2$. **Predict** what $(1, -1)$ costs now.
 
 
-# %%
+# %% tags=["hide-input"]
 def cost(x0, s, s_hat, looks):
     """Return J of the robot, in fractions."""
     u0 = -Fraction(x0 + sum(s_hat)) / 3
@@ -129,13 +129,13 @@ for looks in (False, True):
 #
 # | pattern | memory $m_t$ | now $C e_t$ | foresight $q(e)$ | a robot |
 # |---|---|---|---|---|
-# | `open_loop` | past errors: $m_{t+1} = A m_t + C e_t$ | yes | yes | an arm replays its plan |
+# | `open_loop` | past: $m_0 = 0$, $m_{t+1} = A m_t + C e_t$ | yes | yes | an arm replays its plan |
 # | `preview` | 0: it sees $x_t$ | yes | yes | a car sees the road ahead |
 # | `causal` | 0: it sees $x_t$ | yes | 0 | a drone senses the wind of now |
 # | `measurement` | $C e_t$: it misreads $x_t$ | 0 | 0 | a drone reads its altitude off a picture |
 # | `filter` | what an observer remembers | 0 | 0 | most robots (notebook 7) |
 #
-# (In the last two rows models measure states: $C$ says which components, and $s$ pushes unseen.)
+# (In the last two rows models measure states with errors $e$; $C$ says which; $s$ pushes unseen.)
 # In code each row is a matrix that multiplies $e$. Stacked they are $Y$, and $\Psi = Y^\top Y$:
 
 # %%
@@ -162,6 +162,7 @@ def rows(task, information):
     return np.concatenate(Y)
 
 
+# %% tags=["hide-input"]
 two = ms.ControlTask([[1]], [[1]], [[1]], [[0]], [[1]], horizon=2, Q_final=[[1]])
 for information in TABLE:
     Y = rows(two, information)
@@ -178,8 +179,7 @@ for information in TABLE:
 #
 # **A forecast refreshed at every step** (MPC) is the commonest of all and needs no line of its own.
 # Step $t$ acts on the forecast made at $t$, with errors $e^{(t)}$, and pays $|\mathrm{row}_t\,
-# e^{(t)}|^2$ of `preview`. No later step uses that forecast, so steps decouple, however errors
-# correlate. Exercise 2 builds it.
+# e^{(t)}|^2$ of `preview`. No later step uses that forecast, so steps decouple (exercise 2).
 #
 # ## Fly it
 #
