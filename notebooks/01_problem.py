@@ -19,10 +19,9 @@
 # J = \sum_{t=1}^{H-1} x_t^\top Q x_t + x_H^\top Q_f x_H + \sum_{t=0}^{H-1} u_t^\top R u_t .$$
 #
 # (`eq:jc` prints $x_{H-1}$ for $x_H$; all errata are in [paper.md](paper.md).) It never sees $s$:
-# wind, waves, a slope. A perception model tells it $\hat s = s + e$. Of $W$ models, the larger err
-# less and cost more. **The question**: which model should run at which step, so that what the
-# errors cost and what the models cost is least, weighed together? This notebook finds the first
-# half, what errors cost.
+# wind, waves, a slope. A perception model tells it $\hat s = s + e$. Larger models err less and
+# cost more. **The question**: which model should run at which step, so that errors and models
+# together cost least? This notebook finds what errors cost.
 
 # %%
 from dataclasses import replace
@@ -81,16 +80,15 @@ plt.show()
 # $$J = \frac{(z - 2\varepsilon)^2 + 2(z + \varepsilon)^2}{9} = \frac{z^2}{3} +
 # \frac23 \varepsilon^2 .$$
 #
-# Regret $\frac23 (e_0 + e_1)^2$, whatever $x_0$ and $s$: to leave a minimum is free to first order.
-# We write it $e^\top \Psi e$, with all errors in one column $e$; here each entry of the matrix
-# $\Psi$ is $\frac23$. Errors $(1, -1)$ cost nothing. (`eq:relCtrlCost`, $J(u^*) < J(\hat u)$, should
-# allow equality.)
+# So the regret is $\frac23 (e_0 + e_1)^2$, whatever $x_0$ and $s$ are. We write it $e^\top \Psi e$,
+# with all errors in one column $e$; here each entry of the matrix $\Psi$ is $\frac23$. Errors
+# $(1, -1)$ cost nothing. (`eq:relCtrlCost`, $J(u^*) < J(\hat u)$, should allow equality.)
 #
 # **Look on the way.** Before $u_1$ let it see $x_1$, and believe $\hat s_1$ as before: $u_1 =
 # -(x_1 + \hat s_1)/2$. **Predict** what $(1, -1)$ costs now.
 
 
-# %%
+# %% tags=["hide-input"]
 def cost(x0, s, s_hat, looks):
     """Return J of the robot, in fractions."""
     u0 = -Fraction(x0 + sum(s_hat)) / 3
@@ -109,61 +107,62 @@ for looks in (False, True):
 #
 # ## Any robot: three answers
 #
-# The Riccati recursion is $P_H = Q_f$, $S_t = R + B^\top P_{t+1} B$, $K_t = S_t^{-1} B^\top
-# P_{t+1} A$, $P_t = Q + A^\top P_{t+1} (A - BK_t)$. Completing the square, for *any* commands,
+# **What a command costs.** From $P_H = Q_f$ backwards, the Riccati recursion of LQR finds for each
+# step $S_t = R + B^\top P_{t+1} B$, a gain $K_t = S_t^{-1} B^\top P_{t+1} A$ and $P_t = Q + A^\top
+# P_{t+1} (A - BK_t)$. Completing the square, for *any* commands,
 #
 # $$J = \mathrm{const} + \sum_t (u_t - u_t^*)^\top S_t (u_t - u_t^*), \qquad
-# u_t^* = -S_t^{-1} B^\top \big(P_{t+1} (A x_t + C s_t) + q_{t+1}\big),$$
+# u_t^* = -S_t^{-1} B^\top \big(P_{t+1} (A x_t + C s_t) + q_{t+1}\big).$$
 #
-# where $q_t = (A - BK_t)^\top (P_{t+1} C s_t + q_{t+1})$, $q_H = 0$, is what later inputs ask for.
-# Every controller here uses this formula with what it *believes*. The constant is free of $u$, so
-# only wrong beliefs count.
-# Let $m_t$ be the error of the state that it believes, $q(e)$ the recursion fed $e$ in place of $s$,
-# and $S_t = G_t G_t^\top$:
+# The costate $q$ is what later inputs ask for: $q_H = 0$, $q_t = (A - BK_t)^\top (P_{t+1} C s_t +
+# q_{t+1})$.
+#
+# **What a controller gets wrong.** Each uses the formula of $u_t^*$ with what it *believes*. So its
+# command is off by three wrong beliefs at most: of its state, by $m_t$ (memory); of this input, by
+# $C e_t$ (now); of later ones, by $q(e)$, the recursion fed $e$ in place of $s$ (foresight). With
+# $S_t = G_t G_t^\top$,
 #
 # $$e^\top \Psi e = \sum_t |\mathrm{row}_t|^2, \qquad \mathrm{row}_t = G_t^{-1} B^\top \big(P_{t+1}
 # (A m_t + C e_t) + q_{t+1}(e)\big).$$
 #
-# | pattern | memory: error $m_t$ of its state | now: $C e_t$? | foresight: $q(e)$? | a robot |
+# The table says which parts a controller has; a part that it lacks is 0.
+#
+# | pattern | memory $m_t$ | now $C e_t$ | foresight $q(e)$ | a robot |
 # |---|---|---|---|---|
-# | `open_loop` | $m_0 = 0$, $m_{t+1} = A m_t + C e_t$ | yes | yes | an arm replays its plan |
+# | `open_loop` | past: $m_0 = 0$, $m_{t+1} = A m_t + C e_t$ | yes | yes | an arm replays its plan |
 # | `preview` | 0: it sees $x_t$ | yes | yes | a car sees the road ahead |
-# | `causal` | 0 | yes | no | a drone senses the wind of now |
-# | `measurement` | $C e_t$: it sees $x_t + C e_t$ | no | no | a drone reads its altitude off a picture |
-# | `filter` | what an observer remembers | no | no | most robots (notebook 7) |
+# | `causal` | 0: it sees $x_t$ | yes | 0 | a drone senses the wind of now |
+# | `measurement` | $C e_t$: it misreads $x_t$ | 0 | 0 | a drone reads its altitude off a picture |
+# | `filter` | what an observer remembers | 0 | 0 | most robots (notebook 7) |
 #
-# (In the last two rows models measure states: $e$ is the error of what they measure, $C$ says which
-# components, and $s$ pushes unseen.)
-#
-# On the two steps ($P_2 = 1$, $S_1 = 2$, $A - BK_1 = P_1 = \frac12$, $S_0 = \frac32$) `preview` pays
-# $\frac12 e_1^2 + \frac23 (\frac12 e_0 + \frac12 e_1)^2$, which is $\frac12$ for $(1, -1)$;
-# `open_loop` remembers $m_1 = e_0$ and pays $\frac12 (e_0 + e_1)^2 + \frac16 (e_0 + e_1)^2$;
-# `causal` $\frac12 e_1^2 + \frac16 e_0^2$. In code, each row is a matrix that multiplies $e$; stacked
-# they are $Y$, and $\Psi = Y^\top Y$:
+# (In the last two rows models measure states with errors $e$; $C$ says which; $s$ pushes unseen.)
+# In code each row is a matrix that multiplies $e$. Stacked they are $Y$, and $\Psi = Y^\top Y$:
 
 # %%
-TABLE = {  # memory, from A m_{t-1}, C e_{t-1}, C e_t; now; foresight
-    "open_loop": (lambda carried, before, present: carried + before, 1, 1),
-    "preview": (lambda carried, before, present: 0 * carried, 1, 1),
-    "causal": (lambda carried, before, present: 0 * carried, 1, 0),
-    "measurement": (lambda carried, before, present: present, 0, 0),
+TABLE = {  # memory, now, foresight
+    "open_loop": ("past", 1, 1),
+    "preview": ("none", 1, 1),
+    "causal": ("none", 1, 0),
+    "measurement": ("misread", 0, 0),
 }
 
 
 def rows(task, information):
-    """Return Y (mH, pH), Psi = Y'Y; every column is a unit error."""
+    """Return Y (mH, pH); each column is what a unit error does."""
     (memory, now, foresight), law, H = TABLE[information], ms.riccati(task), task.horizon
     Ce = task.C @ np.eye(task.p * H).reshape(H, task.p, -1)  # (H, n, pH)
-    q, m, Y = np.zeros((H + 1, *Ce[0].shape)), 0 * Ce[0], []
+    q, past, Y = np.zeros((H + 1, *Ce[0].shape)), 0 * Ce[0], []
     for t in reversed(range(H)):
         q[t] = foresight * law.closed_loop[t].T @ (law.P[t + 1] @ Ce[t] + q[t + 1])
     for t in range(H):
-        m = memory(task.A @ m, Ce[t - 1] if t else m, Ce[t])
+        m = {"past": past, "none": 0 * past, "misread": Ce[t]}[memory]
         wrong = law.P[t + 1] @ (task.A @ m + now * Ce[t]) + q[t + 1]
         Y.append(np.linalg.solve(np.linalg.cholesky(law.S[t]), task.B.T @ wrong))
+        past = task.A @ past + Ce[t]
     return np.concatenate(Y)
 
 
+# %% tags=["hide-input"]
 two = ms.ControlTask([[1]], [[1]], [[1]], [[0]], [[1]], horizon=2, Q_final=[[1]])
 for information in TABLE:
     Y = rows(two, information)
@@ -171,24 +170,25 @@ for information in TABLE:
     np.testing.assert_allclose(Y.T @ Y, ms.psi(two, information))
 
 # %% [markdown]
-# The last two agree here as $AC = C$. **The paper** states the policy `preview` in its section II
-# and takes $\Psi$ from a source that plans once: `open_loop`. Either is sound; what matters is to
-# take the $\Psi$ of the controller that runs.
+# `open_loop` is $\frac23$ throughout, as by hand. `preview` has $P_2 = 1$, $S_1 = 2$, $P_1 = A -
+# BK_1 = \frac12$, $S_0 = \frac32$, and pays $\frac12 e_1^2 + \frac23 (\frac12 e_0 + \frac12
+# e_1)^2$: a half for $(1, -1)$. The last two agree because $AC = C$ here.
 #
-# **A forecast refreshed at every step** (MPC), the commonest of all, is no row of the table, and
-# simpler. Step $t$ acts on the forecast made at $t$, with errors $e^{(t)}$ of its own, and pays
-# $|\mathrm{row}_t\, e^{(t)}|^2$ of `preview`. No later step uses that forecast again: steps
-# decouple, however errors correlate, and at each step the model is best whose price plus mean
-# $|\mathrm{row}_t\, e^{(t)}|^2$ is least. (With one stale forecast, errors of different steps meet.)
-# Exercise 2 builds it.
+# **The paper** states the policy `preview` in its section II and takes $\Psi$ from a source that
+# plans once: `open_loop`. Either is sound; take the $\Psi$ of the controller that runs.
+#
+# **A forecast refreshed at every step** (MPC) is the commonest of all and needs no line of its own.
+# Step $t$ acts on the forecast made at $t$, with errors $e^{(t)}$, and pays $|\mathrm{row}_t\,
+# e^{(t)}|^2$ of `preview`. No later step uses that forecast, so steps decouple (exercise 2).
 #
 # ## Fly it
 #
-# A boat holds its place; its state is offset and speed. Waves carry it at $s_t$ (m/s), a mooring
-# pulls it back, a thruster pushes; offset and thrust are charged ($Q_f = Q$ unless told), $H = 40$
-# steps of 0.2 s. We feed it the same errors in 1000 random seas and in their mirror images:
+# A boat holds its place for 40 steps of 0.2 s; its state is offset and speed. Waves carry it at
+# $s_t$ (m/s), a mooring pulls it back, a thruster pushes. Offset and thrust are charged ($Q_f = Q$
+# unless told). We feed it the same errors $e$ in 1000 random seas and in their mirror images;
+# `regrets` flies each sea twice, fed $s + e$ and fed $s$:
 
-# %%
+# %% tags=["hide-input"]
 dt, H, rng = 0.2, 40, np.random.default_rng(1)
 boat = ms.ControlTask(
     A=[[1, dt], [-dt, 0.95]], B=[[0], [dt]], C=[[dt], [0]], Q=np.diag([1, 0]), R=[[0.1]], horizon=H
@@ -202,29 +202,28 @@ def regrets(task, x0, s, e, information):
     return ms.control_cost(task, *fed) - ms.control_cost(task, *true)
 
 
+# %%
 e, seas = rng.normal(size=(H, 1)), rng.normal(size=(1000, H, 1))
 seas = np.concatenate([seas, -seas])
 for information in TABLE:
-    Y = rows(boat, information)
-    np.testing.assert_allclose(Y.T @ Y, ms.psi(boat, information), atol=1e-12)
-    found, price = regrets(boat, [1, 0], seas, e + 0 * seas, information), ((Y @ e) ** 2).sum()
+    price = ((rows(boat, information) @ e) ** 2).sum()
+    found = regrets(boat, [1, 0], seas, e + 0 * seas, information)
     span = f"{found.min():6.3f} to {found.max():6.3f}, mean {found.mean():6.3f}"
     print(f"{information:12} e'Psi e = {price:6.3f}; regrets {span}")
     np.testing.assert_allclose(found.mean(), price)
 
 # %% [markdown]
-# Fed a right forecast (`open_loop`, `preview`) it gives $u^*$: the square is exact, sea by sea.
-# Without one even right beliefs miss $u^*$, by an amount that depends on $s$, and an error may
-# happen to help. If $s$ has the mean that the controller expects and is independent of $e$, this
-# averages out: $e^\top \Psi e$ is exact **in expectation**.
+# With a right forecast (`open_loop`, `preview`) the commands are $u^*$, so $e^\top \Psi e$ is exact
+# in every sea. Without one even right beliefs miss $u^*$, and an error may happen to help. If $s$
+# has the mean that the controller expects and is independent of $e$, this averages out: $e^\top
+# \Psi e$ is exact **in expectation**.
 #
 # ## Reading $\Psi$
 #
 # $e^\top \Psi e = \sum_{t,k} e_t \Psi_{tk} e_k$. $\Psi_{tt}$ is what an error of 1 at step $t$
 # costs alone; $2\Psi_{tk} e_t e_k$ what two cost *together*, beyond that. Red: errors of one sign
-# make each other dearer, opposite ones cancel. Blue: the other way round. The rows say why: the
-# lower panels show what each step pays, $|\mathrm{row}_t|^2$, if the estimate of step 20 is wrong
-# by 1.
+# make each other dearer, opposite ones cancel. Blue: the other way round. Below: what each step
+# pays, $|\mathrm{row}_t|^2$, if the estimate of step 20 is wrong by 1.
 
 # %% alt="Three columns. Causal: the matrix Psi is a diagonal, and of an error at step 20 step 20 alone pays, 0.025. Preview: a narrow red band; steps up to 20 pay, most from step 13 on, and none after, 0.139 in all. Open loop: a wide red diagonal stripe with a blue, negative one some 15 steps off it; the same steps pay as under preview, and then again until the end, 0.388 in all." tags=["hide-input"]
 figure, panels = plt.subplots(2, 3, sharex=True, sharey="row", figsize=(13, 7.4))
@@ -246,17 +245,16 @@ np.testing.assert_allclose(bills["open_loop"][:21], bills["preview"][:21])
 assert not bills["preview"][21:].any() and not np.delete(bills["causal"], 20).any()
 
 # %% [markdown]
-# Preview *braces* beforehand for a wave that will not come: the bracing of two errors overlaps, and
-# this makes its band. (Later commands are right: it sees its true state.) Open loop also believes
-# itself elsewhere afterwards, and the boat swings: errors of one sign, half a swing apart, cancel.
-# `measurement` is a diagonal, as `causal`.
+# Preview *braces* beforehand for a wave that will not come. The bracing of two errors overlaps: the
+# band. Open loop also believes itself elsewhere afterwards, and the boat swings: errors of one
+# sign, half a swing apart, cancel. `measurement` is a diagonal, as `causal`.
 #
-# Step by step, then, $\Psi^{\mathrm{causal}}_{tt} \preceq \Psi^{\mathrm{preview}}_{tt} \preceq
-# \Psi^{\mathrm{open}}_{tt}$ for every robot. `measurement` has no place in this order, and *whole*
-# matrices have none either: $(1, -1)$ cost feedback more. Nor are late errors always cheap:
+# So one error alone costs `causal` least and `open_loop` most, for every robot. *Two* errors need
+# not: $(1, -1)$ cost feedback more. `measurement` has no place in this order, and late errors are
+# not always cheap:
 
 
-# %%
+# %% tags=["hide-input"]
 def scalar(A=1.0, Q_final=1.0):
     """Return a robot with one state and 20 steps."""
     return ms.ControlTask([[A]], [[1]], [[1]], [[1]], [[1]], 20, Q_final=[[Q_final]])
@@ -294,9 +292,9 @@ plt.show()
 assert prices["alternating"] < prices["noisy"] < prices["biased"]
 
 # %% [markdown]
-# Notebook 2 makes this precise. And the answer to the paper's question depends on the pattern. On
-# the boat a small model always errs by 0.4 and is free, a medium one by 0.15 at 0.1 a step, a large
-# one by 0 at 0.3. The total, $e^\top \Psi e$ plus prices, is least for these schedules:
+# Notebook 2 makes this precise. Now the paper's question, for the boat: a small model errs by 0.4
+# and is free, a medium one by 0.15 at 0.1 a step, a large one by 0 at 0.3. The total, $e^\top \Psi
+# e$ plus prices, is least for these schedules (last number: the best single model):
 
 # %%
 errors = np.tile([[0.4], [0.15], [0.0]], (H, 1, 1))  # (H, W, p): small, medium, large
@@ -307,14 +305,13 @@ for name in ("open_loop", "preview", "causal"):
     assert best.is_optimal
 
 # %% [markdown]
-# (Last number: the best single model.) Open loop buys better estimates at seven steps only, and
-# pays less than half of what its best single model costs.
+# The answer depends on the pattern. Open loop buys better estimates at seven steps only, and pays
+# less than half of what its best single model costs.
 #
-# **In one paragraph.** Completing the square turns regret into a sum over steps of what wrong
-# beliefs do to each command: beliefs about the state (memory), this input (now), later ones
-# (foresight). These three answers make $\Psi$: dense with a forecast or a memory of earlier errors,
-# block diagonal without. Its signs say which errors cancel. Next: what of a random error does
-# $\Psi$ feel?
+# **In one paragraph.** Regret is a sum over steps of what wrong beliefs do to each command: beliefs
+# about the state (memory), this input (now), later ones (foresight). These three answers make
+# $\Psi$: dense with a forecast or a memory of earlier errors, block diagonal without. Its signs say
+# which errors cancel. Next: what of a random error does $\Psi$ feel?
 #
 # ## Recall
 #

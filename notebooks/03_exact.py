@@ -5,7 +5,7 @@
 #
 # - split the cost of any schedule into a bound and two excesses, and rule models out by it;
 # - say what a label must remember, and when it may die;
-# - copy an exact search of thirty lines, from A, B, C to the optimum;
+# - copy an exact search of 25 lines, and say why what it drops is no loss;
 # - read a tree of branch and bound, and say what a search's word is worth;
 # - extend the proof to switching costs and a budget.
 #
@@ -43,11 +43,13 @@ print(f"Psi = {toy.psi.round(3).tolist()}\n{toy.total_cost(nine).reshape(3, 3).r
 # (0.925).
 #
 # Now pick **any** point $d$, say $(\frac{2}{45}, \frac{4}{45})$, and replace the square by its
-# tangent there: error $\mu$ at step $t$ costs $2\mu\,(\Psi d)_t = \frac{2}{15}\mu$. With its
-# price, b0 costs $\frac{2}{15} = 0.133$, b1 $-\frac1{15} + 0.2 = 0.133$, b2 $\frac{2}{150} + 0.6 =
-# 0.613$. The cheapest of each step, added up, less $d^\top\Psi d = 0.009$, make $LB = 0.258$.
-# **Every** schedule costs exactly 0.258, plus the **reduced costs** of its models, what each costs
-# above the cheapest (b2: 0.48), plus a square that the tangent left out.
+# tangent there. Along it an error $\mu$ at either step costs $2\mu\,(\Psi d)_t = \frac{2}{15}\mu$,
+# and steps no longer meet. With its price, b0 costs $\frac{2}{15} = 0.133$, b1 $-\frac1{15} + 0.2 =
+# 0.133$, b2 $\frac{2}{150} + 0.6 = 0.613$. The cheapest of each step, added up, less $d^\top\Psi d
+# = 0.009$, make $LB = 0.258$.
+#
+# **Every** schedule costs exactly this bound, plus the **reduced costs** of its models (what each
+# costs above the cheapest: 0.48 for b2), plus a square that the tangent left out:
 
 # %% alt="Nine bars from the cheapest schedule, 0.725, to the dearest, 2.1: every bar is the same bound 0.258, plus 0.48 for each use of b2, plus a square. A dotted line at 0.725: the five bars of schedules with b2 pass it by bound and reduced costs alone." tags=["hide-input"]
 plt.rcParams.update(landing.STYLE)
@@ -68,7 +70,7 @@ axes.legend(loc="upper right")
 plt.show()
 
 # %% [markdown]
-# The room between the best schedule known and the bound is $\Delta = 0.725 - 0.258 = 0.467$. A
+# The **room** between the best schedule known and the bound is $\Delta = 0.725 - 0.258 = 0.467$. A
 # model of reduced cost $0.48 > \Delta$ is in no better schedule: b2 is out, four schedules are
 # left.
 #
@@ -84,12 +86,13 @@ plt.show()
 #
 # ($G_{tw}$ is no part of notebook 1's $S_t = G_t G_t^\top$.) No term after $LB(d)$ is negative.
 # The best $d$ is the mean error of the **relaxation**, the cheapest blend: weights of the models
-# at each step in place of a choice (notebook 4). A bad $d$ makes the bound loose, never wrong. We
-# check the identity on all 65,536 schedules of a longer cart: dear thrust, eight steps, four
+# at each step in place of a choice (notebook 4). A bad $d$ makes the bound loose, never wrong.
+#
+# We check the identity on all 65,536 schedules of a longer cart: dear thrust, eight steps, four
 # models with signs drawn for every step.
 
 
-# %%
+# %% tags=["hide-input"]
 def cart(H=8, W=4, seed=46):
     """Draw a cart and a selection problem: model w costs w and errs by about 2 * 0.6^w."""
     rng = np.random.default_rng(seed)
@@ -100,48 +103,50 @@ def cart(H=8, W=4, seed=46):
     return task, ms.SelectionProblem(psi, mean, 0.1 * mean**2, np.arange(W))
 
 
-def certificate(M, mean, linear, d):
-    """Return LB(d) and the reduced costs (H, W), for means (H, W)."""
-    G = 2 * mean * (M @ d)[:, None] + linear
-    return G.min(axis=1).sum() - d @ M @ d, G - G.min(axis=1, keepdims=True)
-
-
 task, problem = cart()
 mu, M, linear, steps = problem.mean[:, :, 0], problem.quadratic, problem.linear, np.arange(8)
 everything = np.indices((4,) * 8).reshape(8, -1).T  # (65536, 8)
 costs = problem.total_cost(everything)
 best = everything[costs.argmin()]
 quick = ms.round_and_swap(problem)  # a schedule, with the relaxation's d
-for d in (np.random.default_rng(0).normal(size=8), quick.reference):
+
+
+# %%
+def certificate(M, mean, linear, d):
+    """Return LB(d) and the reduced costs (H, W), for means (H, W)."""
+    G = 2 * mean * (M @ d)[:, None] + linear
+    return G.min(axis=1).sum() - d @ M @ d, G - G.min(axis=1, keepdims=True)
+
+
+for d in (np.random.default_rng(0).normal(size=8), quick.reference):  # any d; the relaxation's
     bound, reduced = certificate(M, mu, linear, d)
     away = problem.chosen_mean(everything) - d
     square = ((away @ M) * away).sum(axis=1)
     np.testing.assert_allclose(bound + reduced[steps, everything].sum(axis=1) + square, costs)
     print(f"LB(d) = {bound:6.2f} <= optimum {costs.min():.2f} <= {quick.cost:.2f}, quickly found")
 room = (quick.cost - bound) + 1e-9 * quick.cost  # Delta, and a little for rounding
-left = (reduced <= room).sum(axis=1).prod()
-print(f"r / Delta, a row for each model; {left} schedules left:\n{(reduced / room).T.round(2)}")
+print((reduced <= room).sum(axis=1).prod(), "schedules left")
 
 # %% [markdown]
-# The four entries above 1 are ruled out. (Bound and quick schedule leave a gap of 15%, and yet that
-# schedule is only 1.4% above the optimum: a gap does not say that a schedule is bad.)
-#
 # ## Labels: what a partial schedule must remember
 #
-# Back to two steps. Under `preview` the square is a sum over steps, read from the last to the
-# first. It is notebook 1's regret, with deviations $\varepsilon_t = \mu_{t,c_t} - d_t$ in place of
-# errors, LQR's $P_t, S_t, K_t$ and the same $q$, a costate ($q_H = 0$; let $\alpha = 1$):
+# We search from the last step to the first. Under `preview` the square is notebook 1's regret, a
+# sum over steps, with deviations $\varepsilon_t = \mu_{t,c_t} - d_t$ in place of errors and the
+# same costate $q$ ($q_H = 0$; let $\alpha = 1$):
 #
 # $$h_t = P_{t+1} C \varepsilon_t + q_{t+1}, \qquad q_t = (A - BK_t)^\top h_t, \qquad
 # \text{step } t \text{ pays } (B^\top h_t)^\top S_t^{-1} (B^\top h_t).$$
 #
-# Here $P_2 = 1$, $S_1 = 2$, $A - BK_1 = \frac12$, $P_1 = \frac32$, $S_0 = \frac52$. (For a moment
-# $d = 0$, so costs are plain.) Choosing b1 last costs $0.2 + \frac12 \cdot 0.25 = 0.325$; b0 costs
-# $\frac12 = 0.5$. The cheaper one is not better: b0 leaves the costate $q_1 = \frac12$, and b1 at
-# step 0 cancels most of it, $h_0 = \frac32 \cdot (-0.5) + \frac12 = -\frac14$, and pays $h_0^2 /
-# S_0 = 0.025$ and its 0.2: in all 0.725. So a **label** is (extra cost so far, costate $q$,
-# models chosen): reduced costs and squares, $n$ numbers whatever $H$ that are all that earlier
-# steps feel of it, and what to return.
+# Back to two steps: $P_2 = 1$, $S_1 = 2$, $A - BK_1 = \frac12$, $P_1 = \frac32$, $S_0 = \frac52$.
+# Let $d = 0$ for a moment, so that costs are plain.
+#
+# - Last step: b1 costs $0.2 + \frac12 \cdot 0.25 = 0.325$, b0 costs $\frac12 = 0.5$.
+# - Yet b1 is not better: b0 leaves the costate $q_1 = \frac12$, and b1 at step 0 cancels
+#   most of it, $h_0 = \frac32 \cdot (-0.5) + \frac12 = -\frac14$. It pays $h_0^2 / S_0 = 0.025$ and
+#   its price 0.2: in all 0.725. After b1 the least is 0.925.
+#
+# So a **label** is: its extra cost so far (reduced costs and squares); its costate $q$, the $n$
+# numbers that are all that earlier steps feel of it; the models chosen.
 #
 # ## When a label may die
 #
@@ -155,37 +160,33 @@ print(f"r / Delta, a row for each model; {left} schedules left:\n{(reduced / roo
 #
 # $$\rho + \sqrt{\Delta - x_j} \le \sqrt{\Delta - x_i}, \qquad \rho = |y_i - y_j| .$$
 #
-# Squared, this says $x_i + \rho^2 + 2\rho\sqrt{\Delta - x_j} \le x_j$, and as
-# $|y_i + v| \le |y_j + v| + \rho$, every $v$ in the ball of $j$ gives
-# $x_i + |y_i + v|^2 \le x_j + |y_j + v|^2$.
+# <details><summary>Why: within the room i is then never dearer</summary>
 #
-# The distance needs no $y$: $\rho^2 = (q_i - q_j)^\top F_t (q_i - q_j)$, where $F_0 = 0$, $F_{t+1} =
-# B S_t^{-1} B^\top + (A - BK_t) F_t (A - BK_t)^\top$ sums up what all earlier steps feel.
+# Squared, this says $x_i + \rho^2 + 2\rho\sqrt{\Delta - x_j} \le x_j$. And $|y_i + v|$ is at most
+# $|y_j + v| + \rho$. So every $v$ in the ball of $j$ gives $x_i + |y_i + v|^2 \le x_j + |y_j +
+# v|^2$.
 #
-# The whole search, in NumPy alone. It inverts no $\Psi$, which may be singular.
+# </details>
+#
+# The distance needs no $y$: $\rho^2 = (q_i - q_j)^\top F_t (q_i - q_j)$. $F_t$ sums up what all
+# earlier steps feel: $F_0 = 0$, $F_{t+1} = B S_t^{-1} B^\top + (A - BK_t) F_t (A - BK_t)^\top$. The
+# whole search:
 
 
 # %%
-def search(A, B, C, Q, R, mean, reduced, d, room):
+def search(task, mean, reduced, d, room):
     """Return the cheapest label (extra, costate, schedule) within the room, and all labels."""
-    H, W = mean.shape
-    P, law = Q, []
-    for _ in range(H):  # Riccati
-        S = R + B.T @ P @ B
-        closed = A - B @ np.linalg.solve(S, B.T @ P @ A)
-        law.insert(0, (P, S, closed))  # of step t: P_{t+1}, S_t, A - B K_t
-        P = Q + A.T @ P @ closed
-    F = [0 * A]  # F[t]: what the steps before t feel
-    for _, S, closed in law:
+    law, B, F, log = ms.riccati(task), task.B, [0 * task.A], []
+    for S, closed in zip(law.S, law.closed_loop, strict=True):
         F.append(B @ np.linalg.solve(S, B.T) + closed @ F[-1] @ closed.T)
-    alive, log = [(0.0, np.zeros(len(A)), ())], []
-    for t in reversed(range(H)):
-        (P, S, closed), grown = law[t], []
+    alive = [(0.0, np.zeros(task.n), ())]
+    for t in reversed(range(task.horizon)):
+        grown = []
         for extra, q, later in alive:  # each label grows by each model
-            for w in range(W):
-                h = P @ C[:, 0] * (mean[t, w] - d[t]) + q
-                paid = B.T @ h @ np.linalg.solve(S, B.T @ h)
-                grown.append((extra + reduced[t, w] + paid, closed.T @ h, (w, *later)))
+            for w, mu in enumerate(mean[t]):
+                h = law.P[t + 1] @ task.C[:, 0] * (mu - d[t]) + q
+                x = extra + reduced[t, w] + B.T @ h @ np.linalg.solve(law.S[t], B.T @ h)
+                grown.append((x, law.closed_loop[t].T @ h, (w, *later)))
         alive = []
         for extra, q, models in sorted(grown, key=lambda label: label[0]):  # cheapest first
             fate = "kept" if extra <= room else "out of room"
@@ -199,8 +200,7 @@ def search(A, B, C, Q, R, mean, reduced, d, room):
     return alive[0], log
 
 
-robot = task.A, task.B, task.C, task.Q, task.R
-(extra, _, found), log = search(*robot, mu, reduced, d, room)
+(extra, _, found), log = search(task, mu, reduced, d, room)
 print(f"bound + least extra = {bound + extra:.3f} = optimum {costs.min():.3f}: {found}")
 np.testing.assert_allclose(bound + extra, costs.min())
 assert tuple(best) == found
@@ -227,7 +227,7 @@ plt.show()
 
 # %% [markdown]
 # The module's `dynamic_program` is this search for every pattern, for errors of $p$ numbers, and
-# for every cost.
+# for every cost. Notebook 0 has it in NumPy alone.
 #
 # ## Branch and bound: the same bound on a tree
 #
@@ -259,9 +259,10 @@ assert min(leaves) >= costs.min() * (1 - 1e-9) and tree[0].bound < costs.min()
 # %% [markdown]
 # ## Whose word is a bound?
 #
-# `check_certificate` derives cost and $LB(d)$ anew, and accepts any `lower_bound` between the two:
-# it cannot repeat a search. `Schedule.proof` says what carries the bound, `"root"` (three lines that
-# you can check) or `"search"` (a search's word). A lie that it accepts; it vouches for 10.03 only:
+# `check_certificate` derives cost and $LB(d)$ anew. It accepts any `lower_bound` between the two,
+# as it cannot repeat a search. `Schedule.proof` says what carries the bound: `"root"`, three lines
+# that you can check, or `"search"`, a search's word. Here is a lie that passes; 10.03 is all that
+# is vouched for:
 
 # %%
 lie = replace(quick, lower_bound=quick.cost)  # not the optimum
@@ -272,17 +273,18 @@ assert lie.is_optimal and lie.cost > 1.01 * costs.min() and lie.proof == "search
 # ## Switching costs and a budget: the same certificate
 #
 # Let a change of model cost $\sigma$, and let a schedule spend at most $K$ on models and changes.
-# Now a schedule is a **path**: its nodes, a model at each step, cost $G$; its arcs, from a model
-# to the next, cost $\sigma$ where the model changes. For any $d$ and any $\lambda \ge 0$, a price
-# on the budget, add $\lambda$ times what each node and arc spends. The cheapest path takes the
-# place of the sum of minima, $LB(d, \lambda) = \text{cheapest path} - d^\top M d - \lambda K$:
+# Now a schedule is a **path**. Its nodes, a model at each step, cost $G$; its arcs, from a model to
+# the next, cost $\sigma$ where the model changes. Take any $d$, and any $\lambda \ge 0$ as a price
+# on the budget: each node and arc costs $\lambda$ times what it spends, too. The cheapest path
+# takes the place of the sum of minima, $LB(d, \lambda) = \text{cheapest path} - d^\top M d -
+# \lambda K$:
 #
 # $$\mathrm{total} = LB(d, \lambda) + (\text{path} - \text{cheapest path})
 # + \lambda\,(K - \mathrm{spent}) + \text{square}.$$
 #
-# On two steps, with $\sigma = 0.3$: the cheapest path stays with b0 or b1, and the bound is 0.258
-# as before; b1, then b0 has a path excess of 0.3 and costs 1.025, so b1 twice is the optimum.
-# On the cart, with a budget of 3:
+# On two steps, with $\sigma = 0.3$, the cheapest path stays with b0 or b1, and the bound is 0.258
+# as before. b1, then b0 now costs 1.025, so b1 twice is the optimum. On the cart, with a budget of
+# 3:
 
 # %%
 limited = replace(problem, switch_cost=0.5 * (1 - np.eye(4)), budget=3.0)
@@ -296,7 +298,7 @@ np.testing.assert_allclose(answer.cost, ms.enumerate_schedules(limited).cost)
 # %% [markdown]
 # ## The paper's experiment
 #
-# $H = 150$, $W = 8$, proved by the identity alone; then with the sign of model b1 changed:
+# $H = 150$, $W = 8$, proved by the identity alone:
 
 # %%
 full = landing.run_experiment(landing.Settings(trials=1)).problem
@@ -305,17 +307,11 @@ bound, reduced = certificate(full.quadratic, full.mean[:, :, 0], full.linear, cl
 possible = reduced <= claim.cost - bound + 1e-9 * claim.cost
 print(f"cost {claim.cost:.3e}, schedules left: {possible.sum(axis=1).prod()}")
 assert possible.sum() == 150 and possible[np.arange(150), claim.choices].all()
-mixed = replace(full, mean=full.mean * np.where(np.arange(8) == 1, -1, 1)[:, None])
-answer = ms.dynamic_program(mixed)
-gap, most = 1 - answer.root_bound / answer.cost, answer.work["labels"].max()
-print(f"b1 flipped: cost {answer.cost:.3e}, root gap {gap:.1%}, at most {most} labels a step")
-assert answer.is_optimal and answer.proof == "search"
 
 # %% [markdown]
-# Of $8^{150}$ schedules one is left: ours. With mixed signs errors cancel, at an eighth of the
-# cost. A blend of models cancels a little better, so the bound is a little low, and a search
-# closes the gap. Not every gap closes in time: the problem is NP-hard (`remark:np_status`,
-# notebook 4).
+# Of $8^{150}$ schedules one is left: ours. Where signs are mixed, as on the cart, a blend of models
+# cancels better than any schedule. Then the bound lies below the optimum, and a search closes the
+# gap. Not always in time: the problem is NP-hard (`remark:np_status`, notebook 4).
 #
 # **In one paragraph.** Any $d$ splits every cost into a bound, reduced costs and a square. Reduced
 # costs rule models out. The rest is searched from the last step: a label remembers its extra cost

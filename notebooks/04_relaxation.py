@@ -32,7 +32,7 @@ BLUE, RED = landing.LOOK["Best Single"]["color"], landing.LOOK["Optimal"]["color
 # ## Two steps, two models, a square
 #
 # The two steps of notebook 0: b0 is free and errs by $1$, b1 costs 0.2 and errs by $-0.5$. A
-# schedule is a table $b$ of zeros and ones with one 1 in each row (`eq:perEncoding`). The
+# schedule is a table $b$ of zeros and ones, with one 1 in each row (`eq:perEncoding`). The
 # **relaxation** drops the integers: $b_{tw} \ge 0$, $\sum_w b_{tw} = 1$. **Predict** where it is
 # cheapest.
 
@@ -46,9 +46,10 @@ print(f"relaxed {relaxed.value:.3f} < best schedule {best.choices}: {best.cost:.
 np.testing.assert_allclose(relaxed.reference, [2 / 45, 4 / 45], atol=1e-6)
 
 # %% [markdown]
-# By hand: weight moved from b0 to b1 changes the error $d_t$ by $-1.5$ and costs 0.2, so inside
-# the square $2 (\Psi d)_t \cdot 1.5 = 0.2$ at both steps. With $\Psi = (0.9, 0.3;\ 0.3, 0.6)$ that
-# gives $d = (\frac{2}{45}, \frac{4}{45})$: the reference point of notebook 0, and its bound.
+# By hand: let weight move from b0 to b1. The error $d_t$ falls by 1.5 and the price rises by 0.2
+# for each unit. Inside the square neither way gains, so $2 (\Psi d)_t \cdot 1.5 = 0.2$ at both
+# steps. With $\Psi = (0.9, 0.3;\ 0.3, 0.6)$ that gives $d = (\frac{2}{45}, \frac{4}{45})$: the
+# reference point of notebook 0, and its bound.
 
 # %% alt="Contours of the relaxed cost over the square of weights: a valley whose lowest point, 0.258, lies inside at (0.64, 0.61). The four corners are the schedules and cost 2.100, 0.950, 0.725 and 0.925, all more." tags=["hide-input"]
 side, corners, blend = np.linspace(0, 1, 101), [*product((0, 1), repeat=2)], ms.BlendProblem(toy)
@@ -68,18 +69,19 @@ plt.show()
 # %% [markdown]
 # ## In general, and duality in two lines
 #
-# With $M = \alpha\Psi$, $\ell_{tw}$ a model's price and cost of noise (`linear`) and the blended error
-# $d_t = \sum_w b_{tw} \mu_{tw}$, minimise $f(b) = d^\top M d + \sum_{tw} \ell_{tw} b_{tw}$, a convex
-# quadratic over simplexes. Notebook 3's identity holds for weights, too: $f(b)$ is $LB$ at any
-# point, plus $\sum r b$, plus a square; $r_{tw} \ge 0$ is by how much $2\mu_{tw}^\top (Md)_t +
-# \ell_{tw}$ exceeds the least of its step. So no $LB$ exceeds $\min f$; and at $d$ itself the
-# square vanishes:
+# Let $M = \alpha\Psi$, and let $\ell_{tw}$ be a model's price and cost of noise (`linear`). The
+# blended error is $d_t = \sum_w b_{tw} \mu_{tw}$. Minimise $f(b) = d^\top M d + \sum_{tw} \ell_{tw}
+# b_{tw}$, a convex quadratic over simplexes.
+#
+# Notebook 3's identity holds for weights, too: $f(b)$ is $LB$ at any point, plus $\sum r b$, plus a
+# square. The reduced cost $r_{tw} \ge 0$ is by how much $2\mu_{tw}^\top (Md)_t + \ell_{tw}$ exceeds
+# the least of its step. So no $LB$ exceeds $\min f$. At $d$ itself the square vanishes:
 #
 # $$f(b) = LB(d) + \sum_{tw} r_{tw} b_{tw}, \qquad LB(d) \le \min f .$$
 #
-# At the minimum no weight is where $r > 0$ (moving it would gain), so $LB = f$: **max LB = min
-# f**. Anywhere else $\sum r b$ is the **duality gap** of Frank and Wolfe: it needs no optimum to
-# compare with.
+# The sum is the **duality gap** of Frank and Wolfe: how far $f(b)$ can be from the minimum, known
+# without the minimum. So you can stop at any iterate. At the minimum it is 0, as no weight is where
+# $r > 0$ (moving it would gain): **max LB = min f**.
 
 
 # %%
@@ -118,10 +120,10 @@ for most in (0, 1, 2, 10):
 # of the way, its curvature over $L$. So rounds grow with $\kappa$, the largest eigenvalue of $\Psi$
 # over the smallest. Nesterov's momentum (`relax`) makes that about $\sqrt\kappa$. Newton's method
 # (`relax_interior_point`) bends each step by the curvature, for a linear system of size $pH$ a
-# round.
+# round. Here are 20 steps, two models and a $\Psi$ of each $\kappa$:
 
 
-# %%
+# %% alt="Rounds to a gap of one millionth against the condition number from 1 to 1000, both logarithmic. Plain gradient rises from 1 to some 4,400, with momentum from 1 to about 200, Newton stays between 4 and 5." tags=["hide-input"]
 def stiff(kappa, H=20):
     """Return a problem of two models whose Psi has this condition number, its optimum inside."""
     rng = np.random.default_rng(0)
@@ -136,8 +138,6 @@ kappas = [1, 10, 100, 1000]
 rounds = {"plain gradient": [gradient(stiff(k), 1e-6)[3] for k in kappas]}
 rounds["with momentum"] = [ms.relax(stiff(k), gap=1e-6).iterations for k in kappas]
 rounds["Newton"] = [ms.relax_interior_point(stiff(k), gap=1e-6).iterations for k in kappas]
-
-# %% alt="Rounds to a gap of one millionth against the condition number from 1 to 1000, both logarithmic. Plain gradient rises from 1 to some 4,400, with momentum from 1 to about 200, Newton stays between 4 and 5." tags=["hide-input"]
 figure, axes = plt.subplots(figsize=(9, 4.8))
 looks = (BLUE, "o-"), (RED, "s--"), ("black", "^:")
 for (name, counts), (colour, look) in zip(rounds.items(), looks, strict=True):
@@ -148,8 +148,6 @@ axes.legend()
 plt.show()
 
 # %% [markdown]
-# The gap is never below the error, and any iterate has one: you can stop on it.
-#
 # ## From weights to a schedule
 #
 # The cart of notebook 0, 40 steps and three models:
@@ -170,9 +168,9 @@ print("models that share one step: at most", (b > 1e-3).sum(axis=1).max())
 # convex envelope of the points $(\mu_{tw}, \ell_{tw})$. (If three such points lie on one line, an
 # optimum may divide weight among them, too.)
 #
-# **Round and swap**: take the largest weight of each step, then change single steps while that
-# helps. **Draw**: take model $w$ at step $t$ with chance $b_{tw}$. The mean error is $d$ as
-# promised, but the draw adds its own variance:
+# There are two ways to a schedule. **Round and swap**: take the largest weight of each step, then
+# change single steps while that helps. **Draw**: take model $w$ at step $t$ with chance $b_{tw}$.
+# The mean error is $d$ as promised, but the draw adds its own variance $V_t$:
 #
 # $$\mathbb{E}\,\mathrm{total} = f(b) + \alpha \sum_t \mathrm{tr}(\Psi_{tt} V_t), \qquad
 # V_t = \sum_w b_{tw} (\mu_{tw} - d_t)(\mu_{tw} - d_t)^\top .$$
@@ -186,6 +184,7 @@ def expected_draw(problem, b):
     return evaluate(problem, b)[0] + problem.quadratic.diagonal() @ V
 
 
+# %% tags=["hide-input"]
 chance = [relaxed.weights[[0, 1], c].prod() for c in corners]
 np.testing.assert_allclose(expected_draw(toy, relaxed.weights), chance @ toy.total_cost(corners))
 results = {
@@ -199,16 +198,18 @@ for name, cost in results.items():
 
 # %% [markdown]
 # Chance does not know which errors are to cancel. An average is never below the least of its
-# numbers, so no lottery has a lower *expected* cost than the best schedule; and one row at a time
-# moves to its best corner without raising the expectation (exercise 1).
+# numbers, so no lottery has a lower *expected* cost than the best schedule. And moving one row at a
+# time to its best corner never raises the expectation (exercise 1).
 #
 # ## Switching costs: whole schedules as columns
 #
 # If changes have a price, weights on single models do not know what one costs. **Column
-# generation** (Dantzig and Wolfe) puts weights on whole schedules: a *master* finds the best
-# mixture of a few columns, its $d$ prices the models, the cheapest path at these prices is the
-# next column, or the proof that there is none. The master is our relaxation again, with one step
-# whose "models" are the columns.
+# generation** (Dantzig and Wolfe) puts weights on whole schedules, the columns:
+#
+# 1. A *master* finds the best mixture of a few columns. It is our relaxation again, with one step
+#    whose "models" are the columns.
+# 2. Its $d$ prices the models. The cheapest path at these prices is the next column, or the proof
+#    that there is none.
 
 # %%
 switching = replace(toy, switch_cost=0.3 * (1 - np.eye(2)))
@@ -236,9 +237,9 @@ np.testing.assert_allclose(bound, ms.relax_by_columns(switching).bound, rtol=1e-
 # $\delta_t$ in column $t$, the cost is $c^\top \Psi' c + g^\top c + \mathrm{const}$, $\Psi' =
 # \alpha D^\top \Psi D$. **Theorem 4** (`thm:psi`) in one line: $x^\top \Psi' x = \alpha (Dx)^\top
 # \Psi (Dx) \ge 0$, for every suite. So it is a convex quadratic over a box: polynomial. It is this
-# notebook's relaxation with two models; *drawing* one with chance $c_t$ would add $\alpha c_t (1 -
-# c_t)\, \delta_t^\top \Psi_{tt} \delta_t$ and end convexity where steps meet. (The paper's assumption,
-# its semidefinite form and all errata: [paper.md](paper.md).)
+# notebook's relaxation with two models. (*Drawing* one with chance $c_t$ instead would end
+# convexity where steps meet. The paper's assumption, its semidefinite form and all errata:
+# [paper.md](paper.md).)
 
 # %%
 for name, problem in {"toy": toy, "cart": mixed}.items():
@@ -253,26 +254,31 @@ for name, problem in {"toy": toy, "cart": mixed}.items():
 #
 # `remark:np_status` leaves open whether selection is NP-hard. It is:
 #
-# > **Decision problem.** Given (rational) $A, B, C, Q, R, H$, errors, prices and a number $K$: is
-# > there a schedule of total at most $K$? *In NP*: its cost, one linear system and a sum, is quickly
-# > checked.
-# >
-# > **Direction.** A known hard problem is written *as* a selection problem, in time polynomial in
-# > its length. So whoever selects fast solves it fast. (The other direction would prove nothing.)
-# >
-# > **PARTITION** (split positive integers into halves of equal sum) with one state: a robot that
-# > acts only at $t = 0$ ($B_t = 0$ later) and pays for the end has $\Psi = \frac12
-# > \mathbf{1}\mathbf{1}^\top$. (Constant matrices do as well: $\frac{H}{H+1}
-# > \mathbf{1}\mathbf{1}^\top$ if a robot with $A = B = C = R = 1$ plans once and pays for the end.)
-# > Let model 0 err by $+a_t$, model 1 by $-a_t$ for a crumb more: cost $\frac12 (\sum \pm a_t)^2$ plus
-# > less than $\frac14$, below $\frac12$ **if and only if** the integers split. *Weakly* hard.
-# >
-# > **MAXIMUM CUT** with $H$ states: the end is weighed by $H(2H I - L)$, $L$ the graph's Laplacian;
-# > errors $\pm 1$ are the sides. The cost is $H(2H^2 - 4\,\mathrm{cut}) - H$ plus less than
-# > $\frac12$, with numbers no larger than a polynomial in $H$. *Strongly* hard. (PARTITION: Karp
-# > 1972; this cut, of edges that all count 1: Garey, Johnson and Stockmeyer 1976.)
+# **Decision problem.** Given (rational) $A, B, C, Q, R, H$, errors, prices and a number $K$: is
+# there a schedule of total at most $K$? It is *in NP*: its cost, one linear system and a sum, is
+# quickly checked.
+#
+# **Direction.** A known hard problem is written *as* a selection problem, in time polynomial in its
+# length. So whoever selects fast solves it fast. (The other direction would prove nothing.)
+#
+# **PARTITION** (split positive integers into halves of equal sum) needs one state. A robot that
+# acts only at $t = 0$ ($B_t = 0$ later) and pays for the end has $\Psi = \frac12
+# \mathbf{1}\mathbf{1}^\top$. Let model 0 err by $+a_t$, and model 1 by $-a_t$ for a crumb more. The
+# cost is $\frac12 (\sum \pm a_t)^2$ plus less than $\frac14$. It is below $\frac12$ **if and only
+# if** the integers split. *Weakly* hard: a search's labels carry one number, the signed sum so far,
+# and equal sums merge. Few sums, few labels; larger integers, more (pseudo-polynomial).
+#
+# <details><summary>MAXIMUM CUT, with H states: strongly hard</summary>
+#
+# The end is weighed by $H(2H I - L)$, $L$ the graph's Laplacian; errors $\pm 1$ are the sides. The
+# cost is $H(2H^2 - 4\,\mathrm{cut}) - H$ plus less than $\frac12$, with numbers no larger than a
+# polynomial in $H$. (PARTITION: Karp 1972; this cut, of edges that all count 1: Garey, Johnson and
+# Stockmeyer 1976. PARTITION with constant matrices: $A = B = C = R = 1$, planned once, paying for
+# the end, has $\Psi = \frac{H}{H+1} \mathbf{1}\mathbf{1}^\top$.)
+#
+# </details>
 
-# %%
+# %% tags=["hide-input"]
 for integers in ([3, 1, 1, 2, 2, 1], [5, 5, 5, 3]):
     schedule = ms.solve(ms.partition_problem(integers))
     off = abs(np.where(schedule.choices == 0, 1, -1) @ integers)
@@ -287,18 +293,14 @@ print(f"{graph.sum()} edges: our cut {ours}, largest {max(cuts)}")
 assert ours == max(cuts)
 
 # %% [markdown]
-# *Weakly*: the search's labels carry one number here, the signed sum so far, and equal sums merge.
-# Few sums, few labels; larger integers, more (pseudo-polynomial).
-#
 # What this does not say: anything about typical instances (the published one is closed by its
 # relaxation), or about `causal` and `measurement`, where steps decouple.
 #
-# **In one paragraph.** Letting choices be fractions makes selection convex; value and bound
-# bracket its optimum at any iterate, and meet at the best. Gradients get there slowly on a stiff
-# $\Psi$, Newton's method does not. The bound is for schedules, too; rounding and swapping gives
-# one, a search closes the gap. Lotteries have no lower expectation. With switching costs the
-# fractions are of whole schedules. Problem 4 is the relaxation itself, and polynomial; the
-# discrete problem is NP-hard. Next: the paper's landing.
+# **In one paragraph.** Letting choices be fractions makes selection convex; value and bound bracket
+# its optimum at any iterate, and meet at the best. Gradients get there slowly on a stiff $\Psi$,
+# Newton's method does not. The bound is for schedules, too; rounding and swapping gives one, a
+# search closes the gap. With switching costs the fractions are of whole schedules. Problem 4 is the
+# relaxation itself, and polynomial; the discrete problem is NP-hard. Next: the paper's landing.
 #
 # ## Recall
 #

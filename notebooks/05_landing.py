@@ -62,10 +62,11 @@ plt.show()
 
 # %% [markdown]
 # By itself, the first error costs 1.4 and the second 0.6: neither is worth 2. So **Greedy**, which
-# looks at each step by itself, buys nothing, and pays 3.6, as the errors also **meet**, for
-# $2 \cdot 0.8$. The optimum buys the first step. Note for later: nothing grows in this cart; its
-# first error costs more because the push that it imagines acts on two states, that of the second on
-# one. No entry of $\Psi$ is negative, so errors of one sign never cancel.
+# looks at each step by itself, buys nothing. But the errors also **meet**, for $2 \cdot 0.8$, and
+# it pays 3.6. The optimum buys the first step.
+#
+# Note for later: nothing grows in this cart. Its first error costs more because the push that it
+# imagines acts on two states. And no entry of $\Psi$ is negative: errors of one sign never cancel.
 #
 # ## The aircraft
 #
@@ -73,14 +74,15 @@ plt.show()
 # flies 150 steps of 0.01 s (forward Euler) from $x_0 = (1000, 2, 2, 0.2)$, with $Q =
 # \mathrm{diag}(10^8, 1, 10^8, 1)$ and $R = 1$. The perception input, uniform from 0 to 0.002,
 # enters the pitch, and the controller plans once (`open_loop`). Model $w$ costs $w\Upsilon$,
-# $\Upsilon = 10^{14}$; $\alpha = 0.8$, $\beta = 0.2$. One number checks most of it: the control
-# cost $J^\star$ without perception input and without error, which the authors logged.
+# $\Upsilon = 10^{14}$; $\alpha = 0.8$, $\beta = 0.2$. One number checks most of it: $J^\star$, the
+# control cost without perception input and without error, which the authors logged.
 #
 # The mean error of b7 is drawn from 0 to 0.05 at every step; that of b6 adds a draw from 0 to 0.1,
 # and so on to b0, which adds one from 0 to 16. Variances are summed likewise, but no draw exceeds
-# 0.3: bias differs a thousandfold, noise hardly, and **every mean error is positive**. With $\mu_c$
-# the means of the models $w_t$ chosen and $v_{t,w_t}$ their variances, the expected total beyond
-# $\alpha J^\star$ is
+# 0.3. So bias differs a thousandfold, noise hardly, and **every mean error is positive**.
+#
+# A schedule chooses the means $\mu_c$ and the variances $v_{t,w_t}$ of its models $w_t$. Beyond
+# $\alpha J^\star$ it costs, in expectation,
 #
 # $$\alpha\Big(\mu_c^\top \Psi \mu_c + \sum_t \Psi_{tt} v_{t,w_t}\Big)
 # + \beta\Upsilon \sum_t w_t .$$
@@ -152,6 +154,8 @@ for policy in ("Best Single", "All Large", "Random", "Greedy", "All Small"):
     mean, half = lead.mean(), landing.half_width(lead)
     print(f"{policy:12} predicted {predicted:7.2f}, flown {mean:7.2f} ± {half:.2f}")
     assert abs(mean - predicted) < 2 * half
+
+# %% tags=["hide-input"]
 lead, share = total["Best Single"].mean() / base - 1, 0.8 * perfect / base
 np.testing.assert_allclose((lead, share, lead / (1 - share)), (0.24, 0.27, 0.33), atol=0.005)
 for policy in ("Greedy", "Optimal"):
@@ -163,10 +167,12 @@ for policy in ("Greedy", "Optimal"):
 assert 50 < paid / seen < 52 and noise / paid < 0.001  # of Optimal
 
 # %% [markdown]
-# **Best Single** (b4) pays 24% more: that is what a schedule is worth here, and a fairer yardstick
-# than Random. (27% of the base is $\alpha J^\star$, which all pay; beyond it, Best Single pays 33%
-# more.) **Greedy** sees a small part of the bill: each of 150 errors meets 149 of its own sign. And
-# noise is less than 0.1% of Optimal's extra cost, so that this experiment cannot show "how the
+# **Best Single** (b4) pays 24% more. That is what a schedule is worth here, and a fairer yardstick
+# than Random. (27% of the base is $\alpha J^\star$, which all pay; of the rest, Best Single pays
+# 33% more.)
+#
+# **Greedy** sees a small part of the bill: each of 150 errors meets 149 of its own sign.
+# **Noise** is less than 0.1% of what Optimal's bias costs. So this experiment cannot show "how the
 # variance of the perception models matters".
 #
 # Perception against control cost (`fig:simulation_CvL`), with the proved optima for 40 ratios
@@ -224,14 +230,14 @@ assert round(old / new - 1, 3) == 5.674 and round(1 - new / old, 3) == 0.850
 # The published control costs lie among ours. Not chance: the order of the four, and b7 never used.
 #
 # **A percentage of what?** "567.18% lower control cost" than Random, says the paper. No cost falls
-# by 567%: that (567.4% by the log) is a share of Optimal's own cost, and the reduction is 85.0%.
-# The log supports the method, not the headline ([paper.md](paper.md) has all).
+# by 567%. That (567.4% by the log) is a share of Optimal's own cost; the reduction is 85.0%. The
+# log supports the method, not the headline ([paper.md](paper.md) has all).
 #
 # ## What it cannot show
 #
-# The paper's text lets the controller see the true state and plan anew. And the true input, at most
-# 0.002, is smaller than the average error of b7. So try the other patterns of notebook 1; then a
-# ninth model, free, that always says 0.001.
+# The paper's text lets the controller see the true state and plan anew. So try the other patterns
+# of notebook 1. And the true input, at most 0.002, is smaller than the average error of b7. So try
+# a ninth model, free, that always says 0.001.
 
 
 # %%
@@ -250,20 +256,21 @@ for information in ("preview", "causal", "measurement"):
 assert (ms.solve(with_constant()).choices == 8).all()
 
 # %% [markdown]
-# At these prices, feedback makes perception not worth paying for, and the constant is chosen at
+# At these prices perception is not worth paying for under feedback, and the constant is chosen at
 # every step. So the experiment shows an optimum of 150 coupled choices, that it beats every single
-# model, and what it costs to ignore the coupling; it does not show that this landing needs
+# model, and what it costs to ignore the coupling. It does not show that this landing needs
 # perception, that choosing pays under feedback, or that variance matters.
 #
 # ## The textbook aircraft
 #
 # Ellert and Merriam (1963): 20 s from 100 ft along a glide path, gusts of mean 0, errors that
 # shrink with altitude. One rule sets $\Upsilon$ for each pattern: All Large pays for perception a
-# fifth of what All Small's errors cost. Shares are of Optimal's total, and of what Best Single pays
-# in excess of the Oracle.
+# fifth of what All Small's errors cost. The lead is what Best Single pays beyond Optimal, paired
+# and (apart); then as a share of Optimal's total, and of Best Single's excess over the Oracle,
+# which makes no error and pays nothing for perception.
 
-# %%
-print("total cost:  Optimal  Oracle  Best Single less Optimal  (apart)     in %   of excess")
+# %% tags=["hide-input"]
+print("total cost:  Optimal  Oracle          lead           (apart)     in %   of excess")
 flights = {}
 for information in ("open_loop", "causal", "measurement"):
     run = landing.run_experiment(landing.Settings(preset="textbook", information=information))
@@ -281,11 +288,11 @@ for information in ("open_loop", "causal", "measurement"):
         assert apart > mean and shares[0] < 0.015 and oracle.mean() > 0.9 * best.mean()
 
 # %% [markdown]
-# Planned once, bias accumulates. Under causal and measurement errors never meet: Greedy *is*
-# optimal, and Best Single pays only 1.3% more. Paired, that lead is decided; flown apart, 100
-# flights would leave it **undecided**. But nine tenths of the total are paid by the Oracle, too.
-# Choosing saves an eighth of what Best Single pays above it, against 23% in the plan: so name the
-# whole with every percentage. And All Small pays over 60% more: here perception is worth having.
+# Planned once, bias accumulates. **Under feedback** errors never meet: Greedy *is* optimal, and
+# Best Single pays only 1.3% more. Paired, that lead is decided; flown apart, 100 flights would
+# leave it **undecided**. But nine tenths of the total are paid by the Oracle, too. Of what Best
+# Single pays above it, choosing saves an eighth: so name the whole with every percentage. And All
+# Small pays over 60% more: here perception is worth having.
 #
 # **In one paragraph.** The landing can be rebuilt: $J^\star$ to seven digits, the rest as well as
 # draws allow. Accuracy is bought early, as early errors act longest; Greedy fails, as errors of one

@@ -8,9 +8,9 @@
 # - pool the errors of a camera by distance, and judge a promise by cross-fitting;
 # - say what calibration, labelled landings and a filter mend, and what five trainings leave open.
 #
-# **Covers** `subsec:expAirsim`, `fig:airsim_env`, `fig:airsim_dataset`, `fig:airsim_distro_b7`,
-# `fig:all_mod_acc`, `fig:airsim_ms`, `fig:airsim_traj_h`, `eq:perceptionModelDistro`,
-# `eq:perModelExp`, `eq:perModelVar`.
+# **Covers** `subsec:expAirsim`, `fig:airsim_env`, `fig:airsim_dataset`, `fig:b7_training_plot`,
+# `fig:airsim_distro_b7`, `fig:all_mod_acc`, `fig:airsim_ms`, `fig:airsim_CvL`,
+# `fig:airsim_traj_h`, `eq:perceptionModelDistro`, `eq:perModelExp`, `eq:perModelVar`.
 #
 # The paper's second experiment lands a drone by its camera. Its pictures and weights are not
 # public; ours are a rendered helipad and eight small networks. That tests the method, and says
@@ -59,11 +59,11 @@ plt.show()
 # ## Two steps, three broken promises
 #
 # **Luck.** Two models have a mean square error of 1. Measured, each comes out as 0.8 or 1.2, by a
-# coin. You take the one that looks better. In three cases of four at least one shows 0.8: promised
-# 0.9 on average, paid 1.
+# coin. You take the one that looks better. Only if both show 1.2 does none show 0.8, in one case of
+# four. So you are promised 0.9 on average, and pay 1.
 #
-# **Place.** Errors are 20% of the distance, $\pm 2$ where a drone hovers, 10 ft: promised $4 + 4$.
-# But the first moves it, and the second picture is taken from 8 or 12 ft: paid $4 + 4.16$.
+# **Place.** Errors are 20% of the distance. A drone hovers at 10 ft, so they are $\pm 2$: promised
+# $4 + 4$. But the first moves it, and the second picture is taken from 8 or 12 ft: paid $4 + 4.16$.
 #
 # **Scene.** A filter that believes half of each measurement turns errors into a cost $e'\Psi e$ of
 # $0.256 e_0^2 + 0.125 e_0 e_1 + 0.125 e_1^2$ (notebook 7). Independent signs cost 0.381. Two
@@ -89,27 +89,28 @@ plt.show()
 
 # %% [markdown]
 # A camera sees ratios: at twice the distance the pad is half as wide, and to misjudge its width by
-# 10% is to misjudge the distance by 10%. So write an error as $e = z r$, where $z$ = altitude + 5 ft
-# (the camera sits that high on the drone: `MOUNT`). The scaled $r$ still depends on $z$ (far away a
-# pixel is a larger share of the pad; near, the pad overfills the picture, worst for small networks),
-# but less. The 897 pictures, not trained on, are from $z$ = 3 to 140 ft, uniform in $\ln z$.
-# **Prices** count multiplications; b7 costs 7 a step.
+# 10% is to misjudge the distance by 10%. So write an error as $e = z r$, where the distance $z$ is
+# altitude + 5 ft (`MOUNT`: the camera sits that high on the drone). The scaled $r$ depends on $z$,
+# too, but less: far away a pixel is a larger share of the pad; near, the pad overfills the picture.
+#
+# The eight networks learn from 2,093 pictures. The 897 others are from $z$ = 3 to 140 ft, uniform
+# in $\ln z$. **Prices** count multiplications; b7 costs 7 a step.
 
 # %%
-trained = landing.learn(0)  # most of the notebook's time: 2093 pictures to train on, 897 others
+trained = landing.learn(0)  # most of the notebook's time
 price = landing.model_cost(trained.networks, "counted")
 error = trained.residuals.residual.reshape(8, 897)  # all models saw the same pictures
 z = trained.residuals.altitude[:897] + perception.MOUNT
-near, far = z < 10, z > 75
-grows = [e[far].std() / e[near].std() for e in (error[7], error[7] / z)]
-holds("b7's errors grow over 8-fold on the way up, scaled under 4-fold", grows[0] > 8, grows[1] < 4)
 
-# %% alt="Left, root mean square errors with intervals fall with the price from 20 ft for b0 to about 9 ft for b5, then level off. Right, the size of the errors of b7 against distance, both logarithmic: a cloud that rises with the dotted line of a tenth of the distance, from under 1 ft to tens of feet." tags=["hide-input"]
-figure, (accuracy, growth) = plt.subplots(1, 2, figsize=(12, 4.6))
+# %% alt="Left, the training error of b7 falls over 30 epochs from 0.7 to under 0.1, most of it in the first three. Middle, root mean square errors with intervals fall with the price from 20 ft for b0 to about 9 ft for b5, then level off. Right, the size of the errors of b7 against distance, both logarithmic: a cloud that rises with the dotted line of a tenth of the distance, from under 1 ft to tens of feet." tags=["hide-input"]
+grows = [e[z > 75].std() / e[z < 10].std() for e in (error[7], error[7] / z)]
+holds("b7's errors grow over 8-fold on the way up, scaled under 4-fold", grows[0] > 8, grows[1] < 4)
+figure, (training, accuracy, growth) = plt.subplots(1, 3, figsize=(14, 4.6))
+training.plot(range(1, 31), perception.SPREAD * np.sqrt(trained.losses[7]), color=BLUE)
+training.set(xlabel="epoch", ylim=(0, None), title="Training error of b7 (of ln z)")
 rms = np.array([flights.root_mean_square(e) for e in error])  # with half of the 95% interval
 accuracy.errorbar(price, rms[:, 0], rms[:, 1], fmt="o", color=BLUE, capsize=5)
-accuracy.set(xscale="log", ylim=(0, None), xlabel="price, from b0 to b7")
-accuracy.set(title="Root mean square error (ft)")
+accuracy.set(xscale="log", ylim=(0, None), xlabel="price, b0 to b7", title="RMS error (ft)")
 growth.loglog(z, abs(error[7]), ".", color=BLUE, ms=4)
 growth.loglog(z, z / 10, "k:")
 growth.set(xlabel="distance z (ft)", ylim=(1e-2, None), title="|Error| of b7 (ft); dotted: z / 10")
@@ -118,42 +119,48 @@ plt.show()
 # %% [markdown]
 # ## Promise: a table from pictures
 #
-# The drone glides from 100 ft to the ground in 150 steps (it starts 5 ft too high) and feeds back
-# the altitude it perceives: the pattern `measurement`, for which $\Psi$ is diagonal. Step $t$ takes
-# mean and variance of each model at distance $z_t$, from **bins** (20, with equally many of the
-# pictures from along the path), or from all pictures, weighted by a **kernel**:
+# The drone glides from 100 ft to the ground in 150 steps (it starts 5 ft too high). It feeds back
+# the altitude that it perceives: the pattern `measurement`, for which $\Psi$ is diagonal. Step $t$
+# takes mean and variance of each model at distance $z_t$. They come from **bins** (20, with equally
+# many of the pictures from along the path), or from all pictures, weighted by a **kernel**:
 #
 # $$\hat r(z) = \frac{\sum_i k_i r_i}{\sum_i k_i}, \qquad
 # k_i = \exp\Big(-\frac12 \Big(\frac{\ln (z_i / z)}{0.3}\Big)^2\Big) .$$
 #
 # Mean and variance are $z$ and $z^2$ times those of $r$. *Regret* is control cost beyond that
-# without errors; the *total* is $\alpha$ regret + $\beta$ perception cost, here with 0.6 and 0.4.
-# A rule fixed before any result scales the prices: b7 throughout costs 0.8 of the regret of b0
-# throughout.
+# without errors; the *total* is $\alpha$ regret + $\beta$ perception cost. A rule fixed before any
+# result scales the prices: b7 throughout costs 0.8 of the regret of b0 throughout.
 #
 # `run_experiment` fits the table, poses the problem and solves it. *Predict:* bins or kernel: which
 # promises the lower total, and whose schedule then costs less?
 
 # %%
-chosen = landing.DEFAULTS["trained"] | {"trials": 1}  # the weights, prices and pattern above
-kernel = landing.run_experiment(landing.Settings("trained", **chosen), trained=trained)
+settings = landing.Settings("trained", **landing.DEFAULTS["trained"])  # alpha 0.6, beta 0.4
+kernel = landing.run_experiment(settings, trained=trained)
 bins = landing.run_experiment(replace(kernel.settings, fit="bins"), trained=trained)
+
+# %% alt="Left, the model of each step: by bins it jumps up and down between b6 and b0, by the kernel it goes from b5 down to b0 in a few changes, one of them upwards. Right, control against perception cost on logarithmic scales: All Small is dear by control, All Large by perception; Optimal pays less than half of what Best Single pays for perception, at nearly its control cost; Random lies above both." tags=["hide-input"]
 in_bin, by_kernel = bins.suite.sample_size.max(), kernel.suite.sample_size.min()
 holds("35 pictures count in a bin, over 150 by the kernel", in_bin < 40, by_kernel > 150)
 holds("the optimum of bins promises less", bins.optimal.cost < kernel.optimal.cost)
-
-# %% alt="The model of each step: by bins it jumps up and down between b6 and b0, by the kernel it goes from b5 down to b0 in a few changes, one of them upwards." tags=["hide-input"]
-figure, axes = plt.subplots(figsize=(10, 4.2))
+figure, (schedule, costs) = plt.subplots(1, 2, figsize=(14, 4.6))
 for run, name, colour, line in ((bins, "bins", BLUE, "--"), (kernel, "kernel", ORANGE, "-")):
-    axes.step(range(150), run.optimal.choices, line, where="mid", color=colour, label=name)
-axes.set(xlabel="step", title="Bins follow luck")
-axes.set_yticks(range(8), [f"b{w}" for w in range(8)])
-axes.legend()
+    schedule.step(range(150), run.optimal.choices, line, where="mid", color=colour, label=name)
+schedule.set(xlabel="step", title="Bins follow luck")
+schedule.set(yticks=range(8), yticklabels=kernel.suite.names)
+schedule.legend()
+for policy in ("Optimal", "Best Single", "Random", "All Large", "All Small"):
+    control, paid, _ = kernel.means()[policy]
+    costs.plot(paid, control, ls="", ms=12, **landing.LOOK[policy], label=policy)
+costs.set(xscale="log", yscale="log", xlabel="perception cost", ylabel="control cost")
+costs.set_title("By the kernel, if its table is right")
+costs.legend(fontsize=12)
 plt.show()
 
 # %% [markdown]
-# Now 2,000 new pictures judge both schedules; they took no part in the choice. `fit_landing` makes
-# a table of them, by the kernel, and `pose` puts it into the problem.
+# (Right: means of 100 landings with errors drawn from the table.) Now 2,000 new pictures judge both
+# schedules; they took no part in the choice. `fit_landing` makes a table of them, by the kernel,
+# and `pose` puts it into the problem.
 
 # %%
 new = perception.measure_models(trained.networks, 2000, np.random.default_rng([0, 1]))
@@ -172,9 +179,9 @@ holds("that of the kernel is less than half as far off", over["kernel"] < over["
 # ## Payment: a flight by sight
 #
 # Now networks read pictures from where the drone really is: 200 landings by the kernel's schedule,
-# each through a new scene. If regret is more than was promised, is $\Psi$ to blame? No: $e'\Psi e$ of
-# the errors that are met is the regret, whatever they depend on (but for gusts, which average out).
-# The table is: it was measured for the glide path, and errors lead the drone off it.
+# each through a new scene. Regret is more than was promised. Is $\Psi$ to blame? No: $e'\Psi e$ of
+# the errors that are met is the regret (but for gusts, which average out). The table is: it was
+# measured for the glide path, and errors lead the drone off it.
 
 # %%
 s = kernel.landing.draw_inputs(np.random.default_rng(2), 200)  # gusts
@@ -182,6 +189,7 @@ tracks, cost, e = landing.fly_on_pictures(kernel, s, kernel.optimal.choices, see
 ideal = landing.fly(kernel.landing, "measurement", s, 0 * s[..., None], None)[1]  # no errors
 
 
+# %% alt="Altitude over 20 seconds, 90% band of 200 landings by sight: they stay near the dotted glide path, the band reaching some 20 ft above it and 10 below in the first seconds." tags=["hide-input"]
 def regret(errors, run):
     """Return e'Psi e of each landing (N,), from errors (N, 150, 1)."""
     return np.einsum("nti,tk,nki->n", errors, run.problem.psi, errors)
@@ -191,8 +199,6 @@ met, by_new = regret(e, kernel), truth.control_term(kernel.optimal.choices)
 holds("e'Psi e is the regret, to 5%", abs((cost - ideal).mean() / met.mean() - 1) < 0.05)
 lowest = met.mean() - flights.half_width(met)  # of the 95% interval
 holds("it is over 1.1 times what new pictures from the glide path say", lowest > 1.1 * by_new)
-
-# %% alt="Altitude over 20 seconds, 90% band of 200 landings by sight: they stay near the dotted glide path, the band reaching some 20 ft above it and 10 below in the first seconds." tags=["hide-input"]
 figure, axes = plt.subplots(figsize=(10, 4.2))
 time, band = kernel.landing.dt * np.arange(151), np.quantile(tracks, (0.05, 0.95), axis=0)
 axes.fill_between(time, *band, color=ORANGE, alpha=0.35)
@@ -205,20 +211,19 @@ plt.show()
 #
 # A Kalman **filter** believes a part of each measurement. That averages noise, but an error now
 # stays in the belief for many steps: $\Psi$ has entries off its diagonal. What does a lasting scene
-# cost? **Scatter** the errors: deal those of each step out anew among the 200 landings. Mean and
-# variance of a step stay the same, but the errors of a landing are no longer of one scene.
+# cost? **Scatter** the errors: deal those of each step out anew among the 200 landings. Each step
+# keeps its mean and variance, but the errors of a landing are no longer of one scene.
 
 # %%
-like = replace(kernel.settings, information="filter", upsilon=None)  # prices anew, by the rule
+like = replace(settings, information="filter", trials=1)  # prices anew, by the rule
 filtered = landing.run_experiment(like, trained=trained)
 e = landing.fly_on_pictures(filtered, s, filtered.optimal.choices, seed=2)[2]
 scattered = np.random.default_rng(3).permuted(e, axis=0)
-apart, together = regret(scattered, filtered).mean(), regret(e, filtered).mean()
-holds("scattered, the same errors cost less than 2/3", apart < 2 / 3 * together)
-lower = filtered.problem.model_cost[7] / kernel.problem.model_cost[7]
-holds("by the rule, prices fall with Psi to less than a fifth", lower < 1 / 5)
 
 # %% alt="Regret in units of what was promised, at four points: promised, by new pictures, in flight with scattered errors, in flight. Under measurement it rises from about 1 to 1.7 at the third and stays there; under the filter it stays near or below 1 up to the third, and doubles at the last." tags=["hide-input"]
+apart, together = regret(scattered, filtered).mean(), regret(e, filtered).mean()
+holds("scattered, the same errors cost less than 2/3", apart < 2 / 3 * together)
+assert filtered.problem.model_cost[7] < kernel.problem.model_cost[7] / 5  # by the rule
 figure, axes = plt.subplots(figsize=(10, 4.2))
 ways = "promised", "new pictures\n(no luck)", "scattered\n(place)", "flown\n(place, scene)"
 for run, look, *flown in (kernel, "s--", *2 * [met.mean()]), (filtered, "o-", apart, together):
@@ -230,10 +235,10 @@ axes.legend()
 plt.show()
 
 # %% [markdown]
-# Under `measurement` it is place that costs. Scenes cost nothing directly: where $\Psi$ is diagonal,
-# errors of two steps never meet. (But errors that stay lead the drone further off.) Under the filter
-# they do, and a table of means and variances cannot know of scenes. (Notebook 2 shows how to choose
-# by covariances.)
+# Under `measurement` it is place that costs. Where $\Psi$ is diagonal errors of two steps never
+# meet, so scenes cost nothing directly. (But errors that stay lead the drone further off.) Under
+# the filter they do meet, and a table of means and variances cannot know of scenes. (Notebook 2
+# chooses by covariances.)
 #
 # ## The verdict: five trainings, 1,000 flights each
 #
@@ -241,26 +246,21 @@ plt.show()
 # each stage adds to the one before:
 #
 # - **calibrated**: a network that is unsure says something in the middle. Report
-#   $E[z \mid \hat z]$ instead of its $\hat z$, fitted by the kernel; an error is counted with a fit to
-#   pictures other than its own.
+#   $E[z \mid \hat z]$ instead of its $\hat z$, fitted by the kernel to pictures other than its own.
 # - **on-policy**: twice, fly 20 landings with the present optimum, **label** them (note by how much
-#   each network errs), enter that *where the drone should have been*, choose again (DAgger; Ross et
-#   al. 2011).
+#   each network errs), enter that *where the drone should have been*, choose again (DAgger).
 # - **filter** instead of `measurement`.
 #
-# The rival is Best Single, the best constant choice, in the same gusts and scenes (Greedy is optimal
-# where $\Psi$ is diagonal). Intervals (95%) are over the five trainings; a difference whose interval
-# contains 0 is **undecided**.
+# The rival is Best Single, the best constant choice, in the same gusts and scenes. Intervals (95%)
+# are over the five trainings; a difference whose interval contains 0 is **undecided**.
 
-# %%
+# %% alt="Two panels over the stages bins, kernel, calibrated, on-policy and filter, with intervals. Left, regret flown over promised: 1.8, 1.6, 1.4, 1.1 and 2.0; only that of on-policy reaches the dotted line at 1. Right, the lead over Best Single in percent: 4, 11, 9, 12 and 6; those of bins, on-policy and filter reach the dotted line at 0, that of filter from -24 to 35." tags=["hide-input"]
 with open("../benchmarks/results/stages.csv", encoding="utf-8") as file:
     rows = list(csv.DictReader(file))
 STAGES = ["bins", "kernel", "calibrated", "on-policy", "filter"]
 names = ["total", "below Best Single", "flown/promised"]
 found = [[[float(r[k]) for r in rows if r["stage"] == stage] for stage in STAGES] for k in names]
 total, lead, ratio = np.array(found)  # each (stages, trainings)
-
-# %% alt="Two panels over the stages bins, kernel, calibrated, on-policy and filter, with intervals. Left, regret flown over promised: 1.8, 1.6, 1.4, 1.1 and 2.0; only that of on-policy reaches the dotted line at 1. Right, the lead over Best Single in percent: 4, 11, 9, 12 and 6; those of bins, on-policy and filter reach the dotted line at 0, that of filter from -24 to 35." tags=["hide-input"]
 figure, panels = plt.subplots(1, 2, figsize=(12, 4.2))
 for axes, values, level in zip(panels, (ratio, 100 * lead), (1, 0), strict=True):
     axes.errorbar(STAGES, *flights.estimate(*values).T, fmt="o", color=ORANGE, capsize=5)
@@ -281,21 +281,19 @@ decided = abs(added[..., 0]) > added[..., 1]
 assert decided.T.tolist() == [[True, True, False], [True, False, True], [False, False, False]]
 
 # %% [markdown]
-# The **kernel** decides the lead, and lowers the total. **Calibration** lowers the total and what is
-# paid beyond the promise; but Best Single flies better, too, so the lead need not grow. With
-# **labelled landings** the ratio is $1.11 \pm 0.30$, no longer decidedly above 1; but forty landings
-# show forty scenes, trainings differ, and whether labels add anything is undecided. The **filter**
-# poses another problem: regret falls sevenfold (`benchmarks/results/stages.md`), but by the rule
-# prices fall, too. So compare within it only: what is paid is twice what was promised, and the lead
-# is undecided.
+# - The **kernel** lowers the total, and decides the lead.
+# - **Calibration** lowers it, too. But Best Single also flies better, so the lead need not grow.
+# - With **labelled landings** flights no longer cost decidedly more than promised. Whether they add
+#   anything is undecided: forty landings show forty scenes, and trainings differ.
+# - The **filter** poses another problem: regret falls sevenfold, but by the rule prices fall, too
+#   (`benchmarks/results/stages.md`). It pays twice what was promised, and its lead is undecided.
 #
 # **In one paragraph.** A promise is broken in three ways: the optimum picks what was measured too
-# well; errors lead the drone away from where they were measured; one landing shows one scene.
-# Pooling by distance lessens the first. Calibration brings the payment nearer to the promise;
-# whether labelled landings bring it nearer yet, five trainings leave open. The third matters once a
-# filter adds errors up, and no table of means and variances knows it. Choosing pays, by 11 ± 4% of
-# the total of the best single model with the kernel alone; what the rest adds to this lead is
-# undecided.
+# well (luck); errors lead the drone away from where they were measured (place); one landing shows
+# one scene. Pooling by distance lessens the first, calibration brings the payment nearer to the
+# promise. The third matters once a filter adds errors up, and no table of means and variances knows
+# it. Choosing pays, by 11 ± 4% of the total of the best single model with the kernel alone; what
+# the rest adds to this lead is undecided.
 #
 # ## Recall
 #
@@ -312,8 +310,8 @@ assert decided.T.tolist() == [[True, True, False], [True, False, True], [False, 
 # </details>
 # <details><summary>Why does scattering leave the mean regret as it is under measurement, and not under a filter?</summary>
 #
-# There it is $\sum_t \Psi_{tt} e_t^2$, and each step keeps its errors. A filter keeps a part of each
-# error, and the next one of the same sign adds to it.
+# There it is $\sum_t \Psi_{tt} e_t^2$, and each step keeps its errors. A filter keeps a part of
+# each error, and the next one of the same sign adds to it.
 #
 # </details>
 #
