@@ -56,11 +56,8 @@ def columns(
     least = cheapest_path(spend, arc)
     if path_sum(price, toll, least) > form.limit:
         return None
-    kept, best, value, k = least[None], None, math.inf, 0
-    bound, dearest = (
-        -math.inf,
-        1.0 + H * (np.abs(price).max() + (0 if toll is None else toll.max())),
-    )
+    kept, best, value, bound, k = least[None], None, math.inf, -math.inf, 0
+    dearest = 1.0 + H * (np.abs(price).max() + (0 if toll is None else toll.max()))
     for k in range(1, max_iterations + 1):
         mu = mean[steps, kept].reshape(len(kept), -1)
         cost = path_sum(form.linear, form.arc, kept)
