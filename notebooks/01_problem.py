@@ -13,7 +13,7 @@
 # `prob:model_selection_naive`, `prob:model_selection`, `fig:one`.
 #
 # These notebooks follow *Dynamic Selection of Perception Models for Robotic Control* (Ghosh and
-# others). A robot with $n$ states, $m$ commands and $p$ perception inputs moves and pays:
+# others). A robot with $n$ states, $m$ commands and $p$ perception inputs moves $H$ steps and pays:
 #
 # $$x_{t+1} = A x_t + B u_t + C s_t, \qquad
 # J = \sum_{t=1}^{H-1} x_t^\top Q x_t + x_H^\top Q_f x_H + \sum_{t=0}^{H-1} u_t^\top R u_t .$$
@@ -82,7 +82,8 @@ plt.show()
 #
 # So the regret is $\frac23 (e_0 + e_1)^2$, whatever $x_0$ and $s$ are. We write it $e^\top \Psi e$,
 # with all errors in one column $e$; here each entry of the matrix $\Psi$ is $\frac23$. Errors
-# $(1, -1)$ cost nothing. (`eq:relCtrlCost`, $J(u^*) < J(\hat u)$, should allow equality.)
+# $(1, -1)$ cost nothing. (`eq:relCtrlCost`, $J(u^*) < J(\hat u)$ for the commands from $s$ and from
+# $\hat s$, should allow equality.)
 #
 # **Look on the way.** Before $u_1$ let it see $x_1$, and believe $\hat s_1$ as before: $u_1 =
 # -(x_1 + \hat s_1)/2$. **Predict** what $(1, -1)$ costs now.
@@ -102,8 +103,8 @@ for looks in (False, True):
     print(f"looks: {looks}, regret {regret}")
 
 # %% [markdown]
-# Half. The plan expected the two errors to undo each other; feedback repaired the first and then
-# believed the second. So $\Psi$ depends on **what the controller knows, and when**.
+# Half. In the plan the two errors undo each other. Feedback sees $x_1$, which repairs what it
+# believed of $s_0$, and then believes the second error alone. So $\Psi$ depends on **what the controller knows, and when**.
 #
 # ## Any robot: three answers
 #
@@ -122,10 +123,11 @@ for looks in (False, True):
 # $C e_t$ (now); of later ones, by $q(e)$, the recursion fed $e$ in place of $s$ (foresight). With
 # $S_t = G_t G_t^\top$,
 #
-# $$e^\top \Psi e = \sum_t |\mathrm{row}_t|^2, \qquad \mathrm{row}_t = G_t^{-1} B^\top \big(P_{t+1}
-# (A m_t + C e_t) + q_{t+1}(e)\big).$$
+# $$e^\top \Psi e = \sum_t |\mathrm{row}_t\, e|^2, \qquad \mathrm{row}_t\, e = G_t^{-1} B^\top
+# \big(P_{t+1} (A m_t + C e_t) + q_{t+1}(e)\big).$$
 #
-# The table says which parts a controller has; a part that it lacks is 0.
+# The table says which parts a controller has; a part that it lacks is 0. (Without foresight, even
+# right beliefs miss $u_t^*$. Then $e^\top \Psi e$ is the regret on average only: see *Fly it*.)
 #
 # | pattern | memory $m_t$ | now $C e_t$ | foresight $q(e)$ | a robot |
 # |---|---|---|---|---|
@@ -135,8 +137,9 @@ for looks in (False, True):
 # | `measurement` | $C e_t$: it misreads $x_t$ | 0 | 0 | a drone reads its altitude off a picture |
 # | `filter` | what an observer remembers | 0 | 0 | most robots (notebook 7) |
 #
-# (In the last two rows models measure states with errors $e$; $C$ says which; $s$ pushes unseen.)
-# In code each row is a matrix that multiplies $e$. Stacked they are $Y$, and $\Psi = Y^\top Y$:
+# (In the last two rows $s$ pushes unseen; models measure the part of the state on which $C$ acts,
+# wrong by $C e$.) In code each row is a matrix, (m, pH), that multiplies $e$. Stacked they are $Y$,
+# and $\Psi = Y^\top Y$; `closed_loop` holds $A - BK_t$:
 
 # %%
 TABLE = {  # memory, now, foresight
@@ -185,8 +188,8 @@ for information in TABLE:
 #
 # A boat holds its place for 40 steps of 0.2 s; its state is offset and speed. Waves carry it at
 # $s_t$ (m/s), a mooring pulls it back, a thruster pushes. Offset and thrust are charged ($Q_f = Q$
-# unless told). We feed it the same errors $e$ in 1000 random seas and in their mirror images;
-# `regrets` flies each sea twice, fed $s + e$ and fed $s$:
+# unless told). We feed it the same errors $e$ in 1000 random seas and in their mirror images, so
+# that the mean sea is 0; `regrets` flies each sea twice, fed $s + e$ and fed $s$:
 
 # %% tags=["hide-input"]
 dt, H, rng = 0.2, 40, np.random.default_rng(1)
@@ -215,15 +218,16 @@ for information in TABLE:
 # %% [markdown]
 # With a right forecast (`open_loop`, `preview`) the commands are $u^*$, so $e^\top \Psi e$ is exact
 # in every sea. Without one even right beliefs miss $u^*$, and an error may happen to help. If $s$
-# has the mean that the controller expects and is independent of $e$, this averages out: $e^\top
-# \Psi e$ is exact **in expectation**.
+# has the mean that the controller expects, 0, and is independent of $e$, this averages out:
+# $e^\top \Psi e$ is exact **in expectation**.
 #
 # ## Reading $\Psi$
 #
-# $e^\top \Psi e = \sum_{t,k} e_t \Psi_{tk} e_k$. $\Psi_{tt}$ is what an error of 1 at step $t$
-# costs alone; $2\Psi_{tk} e_t e_k$ what two cost *together*, beyond that. Red: errors of one sign
-# make each other dearer, opposite ones cancel. Blue: the other way round. Below: what each step
-# pays, $|\mathrm{row}_t|^2$, if the estimate of step 20 is wrong by 1.
+# $e^\top \Psi e = \sum_{t,k} e_t^\top \Psi_{tk} e_k$. Each $\Psi_{tk}$ is a $p \times p$ block, here
+# a number. $\Psi_{tt}$ is what an error of 1 at step $t$ costs alone; $2\Psi_{tk} e_t e_k$ what two
+# cost *together*, beyond that. Red: errors of one sign make each other dearer, opposite ones
+# cancel. Blue: the other way round. Below: what each step pays, $|\mathrm{row}_t\, e|^2$, if the
+# estimate of step 20 is wrong by 1.
 
 # %% alt="Three columns. Causal: the matrix Psi is a diagonal, and of an error at step 20 step 20 alone pays, 0.025. Preview: a narrow red band; steps up to 20 pay, most from step 13 on, and none after, 0.139 in all. Open loop: a wide red diagonal stripe with a blue, negative one some 15 steps off it; the same steps pay as under preview, and then again until the end, 0.388 in all." tags=["hide-input"]
 figure, panels = plt.subplots(2, 3, sharex=True, sharey="row", figsize=(13, 7.4))
@@ -251,7 +255,7 @@ assert not bills["preview"][21:].any() and not np.delete(bills["causal"], 20).an
 #
 # So one error alone costs `causal` least and `open_loop` most, for every robot. *Two* errors need
 # not: $(1, -1)$ cost feedback more. `measurement` has no place in this order, and late errors are
-# not always cheap:
+# not always cheap. One state, 20 steps, all matrices 1 unless told:
 
 
 # %% tags=["hide-input"]
@@ -269,8 +273,8 @@ for Q_final in (1, 100):
 # %% [markdown]
 # ## Three models of equal mean square
 #
-# A robot with $A = 1$ (`scalar()`) plans once, which `ms.psi` assumes unless told. No input comes,
-# but it is fed $+1$ always, or random signs, or $+1, -1, \dots$:
+# The same robot, $A = 1$ (`scalar()`), plans once, which `ms.psi` assumes unless told. No input
+# comes, but it is fed $+1$ always, or random signs, or $+1, -1, \dots$:
 
 # %% alt="Positions over 20 steps of a robot that plans once, fed errors of size 1. The biased model makes it drift away in a straight line to about -20. Thirty runs with random signs wander apart in a fan, up to 10 from zero. With alternating signs it stays within 1 of zero. The legend gives their mean regrets." tags=["hide-input"]
 fans = {
@@ -292,9 +296,10 @@ plt.show()
 assert prices["alternating"] < prices["noisy"] < prices["biased"]
 
 # %% [markdown]
-# Notebook 2 makes this precise. Now the paper's question, for the boat: a small model errs by 0.4
-# and is free, a medium one by 0.15 at 0.1 a step, a large one by 0 at 0.3. The total, $e^\top \Psi
-# e$ plus prices, is least for these schedules (last number: the best single model):
+# Notebook 2 makes this precise. Now the paper's question, for the boat: a small model errs by
+# $+0.4$ at every step and is free, a medium one by $+0.15$ at 0.1 a step, a large one by 0 at 0.3.
+# The total, $e^\top \Psi e$ plus prices, is least for these schedules (first number: that total;
+# second: the best single model's; `0 * errors`: no variance, these errors are known):
 
 # %%
 errors = np.tile([[0.4], [0.15], [0.0]], (H, 1, 1))  # (H, W, p): small, medium, large
