@@ -31,14 +31,16 @@ BLUE, RED = landing.LOOK["Best Single"]["color"], landing.LOOK["Optimal"]["color
 # %% [markdown]
 # ## Two steps, two models, a square
 #
-# The two steps of notebook 0: b0 is free and errs by $1$, b1 costs 0.2 and errs by $-0.5$. A
-# schedule is a table $b$ of zeros and ones, with one 1 in each row (`eq:perEncoding`). The
-# **relaxation** drops the integers: $b_{tw} \ge 0$, $\sum_w b_{tw} = 1$. **Predict** where it is
-# cheapest.
+# The two steps of notebook 0: b0 is free and errs by $1$, b1 costs 0.2 and errs by $-0.5$. Errors
+# $d$ cost $d^\top \Psi d$ in control, with $\Psi = (0.9, 0.3;\ 0.3, 0.6)$. A schedule is a table
+# $b$ of zeros and ones, with one 1 in each row (`eq:perEncoding`). The **relaxation** drops the
+# integers: $b_{tw} \ge 0$, $\sum_w b_{tw} = 1$; errors and prices blend by these weights.
+# **Predict** which weights of b1 are the cheapest.
 
 # %%
-one, mean = np.eye(1), np.tile([[1.0], [-0.5]], (2, 1, 1))
+one, mean = np.eye(1), np.tile([[1.0], [-0.5]], (2, 1, 1))  # (H, W, p)
 cart = ms.ControlTask(one, one, one, one, one, horizon=2)
+# A problem is Psi, mean errors (of H steps, W models, p numbers), noise (none) and prices.
 toy = ms.SelectionProblem(ms.psi(cart, "preview"), mean, 0 * mean, model_cost=[0, 0.2])
 relaxed, best = ms.relax_interior_point(toy, gap=1e-10), ms.enumerate_schedules(toy)
 print(f"weights of b1 {relaxed.weights[:, 1].round(3)}, blended error {relaxed.reference.round(3)}")
@@ -48,8 +50,7 @@ np.testing.assert_allclose(relaxed.reference, [2 / 45, 4 / 45], atol=1e-6)
 # %% [markdown]
 # By hand: let weight move from b0 to b1. The error $d_t$ falls by 1.5 and the price rises by 0.2
 # for each unit. Inside the square neither way gains, so $2 (\Psi d)_t \cdot 1.5 = 0.2$ at both
-# steps. With $\Psi = (0.9, 0.3;\ 0.3, 0.6)$ that gives $d = (\frac{2}{45}, \frac{4}{45})$: the
-# reference point of notebook 0, and its bound.
+# steps. So $d = (\frac{2}{45}, \frac{4}{45})$: the reference point of notebook 0, and its bound.
 
 # %% alt="Contours of the relaxed cost over the square of weights: a valley whose lowest point, 0.258, lies inside at (0.64, 0.61). The four corners are the schedules and cost 2.100, 0.950, 0.725 and 0.925, all more." tags=["hide-input"]
 side, corners, blend = np.linspace(0, 1, 101), [*product((0, 1), repeat=2)], ms.BlendProblem(toy)
@@ -69,19 +70,21 @@ plt.show()
 # %% [markdown]
 # ## In general, and duality in two lines
 #
-# Let $M = \alpha\Psi$, and let $\ell_{tw}$ be a model's price and cost of noise (`linear`). The
-# blended error is $d_t = \sum_w b_{tw} \mu_{tw}$. Minimise $f(b) = d^\top M d + \sum_{tw} \ell_{tw}
-# b_{tw}$, a convex quadratic over simplexes.
+# Let $M = \alpha\Psi$ (here $\alpha = 1$), $\mu_{tw}$ a model's mean error of $p$ numbers, and
+# $\ell_{tw}$ its price and cost of noise (`linear`). The blended error is $d_t = \sum_w b_{tw}
+# \mu_{tw}$. Minimise $f(b) = d^\top M d + \sum_{tw} \ell_{tw} b_{tw}$, a convex quadratic over
+# simplexes.
 #
-# Notebook 3's identity holds for weights, too: $f(b)$ is $LB$ at any point, plus $\sum r b$, plus a
-# square. The reduced cost $r_{tw} \ge 0$ is by how much $2\mu_{tw}^\top (Md)_t + \ell_{tw}$ exceeds
-# the least of its step. So no $LB$ exceeds $\min f$. At $d$ itself the square vanishes:
+# Notebook 3's identity holds for weights, too. At any point $x$, let $G_{tw} = 2\mu_{tw}^\top
+# (Mx)_t + \ell_{tw}$. The reduced cost $r_{tw} \ge 0$ is its excess over the least of its step:
 #
-# $$f(b) = LB(d) + \sum_{tw} r_{tw} b_{tw}, \qquad LB(d) \le \min f .$$
+# $$f(b) = LB(x) + \sum_{tw} r_{tw} b_{tw} + (d - x)^\top M (d - x), \qquad
+# LB(x) = \sum_t \min_w G_{tw} - x^\top M x .$$
 #
-# The sum is the **duality gap** of Frank and Wolfe: how far $f(b)$ can be from the minimum, known
-# without the minimum. So you can stop at any iterate. At the minimum it is 0, as no weight is where
-# $r > 0$ (moving it would gain): **max LB = min f**.
+# So no $LB$ exceeds $\min f$. At $x = d$ the square vanishes; the sum that is left is the **duality
+# gap** of Frank and Wolfe: how far $f(b)$ can be from the minimum, known without the minimum. So
+# you can stop at any iterate. At the minimum it is 0, as no weight is where $r > 0$ (moving it
+# would gain): **max LB = min f**.
 
 
 # %%
@@ -117,10 +120,11 @@ for most in (0, 1, 2, 10):
 # ## Conditioning
 #
 # A gradient step is as long as the steepest direction allows. Along a flatter one it covers a share
-# of the way, its curvature over $L$. So rounds grow with $\kappa$, the largest eigenvalue of $\Psi$
-# over the smallest. Nesterov's momentum (`relax`) makes that about $\sqrt\kappa$. Newton's method
-# (`relax_interior_point`) bends each step by the curvature, for a linear system of size $pH$ a
-# round. Here are 20 steps, two models and a $\Psi$ of each $\kappa$:
+# of the way, its curvature over $L$. So, for like models at all steps and an optimum inside, rounds
+# grow with $\kappa$, the largest eigenvalue of $\Psi$ over the smallest. (An optimum at a corner
+# takes fewer; where steps differ, `S` counts, too.) Nesterov's momentum (`relax`) makes that about
+# $\sqrt\kappa$. Newton's method (`relax_interior_point`) bends each step by the curvature, for a
+# linear system of size $pH$ a round. Here are 20 steps, two models and a $\Psi$ of each $\kappa$:
 
 
 # %% alt="Rounds to a gap of one millionth against the condition number from 1 to 1000, both logarithmic. Plain gradient rises from 1 to some 4,400, with momentum from 1 to about 200, Newton stays between 4 and 5." tags=["hide-input"]
@@ -169,8 +173,9 @@ print("models that share one step: at most", (b > 1e-3).sum(axis=1).max())
 # optimum may divide weight among them, too.)
 #
 # There are two ways to a schedule. **Round and swap**: take the largest weight of each step, then
-# change single steps while that helps. **Draw**: take model $w$ at step $t$ with chance $b_{tw}$.
-# The mean error is $d$ as promised, but the draw adds its own variance $V_t$:
+# change single steps while that helps. **Draw**: take model $w$ at step $t$ with chance $b_{tw}$,
+# independently of other steps. The mean error is $d$ as promised, but the draw adds its own
+# variance $V_t$:
 #
 # $$\mathbb{E}\,\mathrm{total} = f(b) + \alpha \sum_t \mathrm{tr}(\Psi_{tt} V_t), \qquad
 # V_t = \sum_w b_{tw} (\mu_{tw} - d_t)(\mu_{tw} - d_t)^\top .$$
@@ -216,11 +221,12 @@ switching = replace(toy, switch_cost=0.3 * (1 - np.eye(2)))
 arc, columns = switching.beta * switching.switch_cost, [np.array([0, 0])]
 while True:
     means = switching.chosen_mean(np.array(columns))  # (K, pH)
+    # What is linear in the mixture: prices and switches, all but the errors' quadratic form.
     fees = switching.total_cost(np.array(columns)) - ((means @ toy.psi) * means).sum(axis=1)
     master = ms.SelectionProblem(toy.psi, means[None], 0 * means[None], fees)
     point = ms.relax_interior_point(master, gap=1e-9)
     bound, _ = ms.reference_bound(switching, point.reference)
-    print(f"{len(columns)} columns: {bound:.4f} <= relaxed <= {point.value:.4f}")
+    print(f"columns: {len(columns)}, {bound:.4f} <= relaxed <= {point.value:.4f}")
     if bound > point.value * (1 - 1e-7):
         break
     G = 2 * toy.mean[:, :, 0] * (toy.psi @ point.reference)[:, None] + toy.linear
@@ -237,8 +243,9 @@ np.testing.assert_allclose(bound, ms.relax_by_columns(switching).bound, rtol=1e-
 # $\delta_t$ in column $t$, the cost is $c^\top \Psi' c + g^\top c + \mathrm{const}$, $\Psi' =
 # \alpha D^\top \Psi D$. **Theorem 4** (`thm:psi`) in one line: $x^\top \Psi' x = \alpha (Dx)^\top
 # \Psi (Dx) \ge 0$, for every suite. So it is a convex quadratic over a box: polynomial. It is this
-# notebook's relaxation with two models. (*Drawing* one with chance $c_t$ instead would end
-# convexity where steps meet. The paper's assumption, its semidefinite form and all errata:
+# notebook's relaxation with two models. (*Drawing* one with chance $c_t$ instead adds a
+# $V_t = c_t (1 - c_t) \delta_t \delta_t^\top$, which cancels the diagonal of $\Psi'$: not convex
+# where steps meet. The paper's assumption, its semidefinite form and all errata:
 # [paper.md](paper.md).)
 
 # %%
@@ -262,19 +269,21 @@ for name, problem in {"toy": toy, "cart": mixed}.items():
 # length. So whoever selects fast solves it fast. (The other direction would prove nothing.)
 #
 # **PARTITION** (split positive integers into halves of equal sum) needs one state. A robot that
-# acts only at $t = 0$ ($B_t = 0$ later) and pays for the end has $\Psi = \frac12
-# \mathbf{1}\mathbf{1}^\top$. Let model 0 err by $+a_t$, and model 1 by $-a_t$ for a crumb more. The
-# cost is $\frac12 (\sum \pm a_t)^2$ plus less than $\frac14$. It is below $\frac12$ **if and only
-# if** the integers split. *Weakly* hard: a search's labels carry one number, the signed sum so far,
-# and equal sums merge. Few sums, few labels; larger integers, more (pseudo-polynomial).
+# acts only at $t = 0$ ($B_t = 0$ later) and pays for that and for the end is off by half the sum of
+# errors at both: $\Psi = \frac12 \mathbf{1}\mathbf{1}^\top$. Let model 0 err by $+a_t$, and model 1
+# by $-a_t$ for a crumb more (free would do, too). The cost is $\frac12 (\sum \pm a_t)^2$ plus less
+# than $\frac14$. It is below $\frac12$ **if and only if** the integers split. *Weakly* hard: a
+# search's labels carry one number, the signed sum so far, and equal sums merge. Few sums, few
+# labels; larger integers, more (pseudo-polynomial).
 #
 # <details><summary>MAXIMUM CUT, with H states: strongly hard</summary>
 #
-# The end is weighed by $H(2H I - L)$, $L$ the graph's Laplacian; errors $\pm 1$ are the sides. The
-# cost is $H(2H^2 - 4\,\mathrm{cut}) - H$ plus less than $\frac12$, with numbers no larger than a
-# polynomial in $H$. (PARTITION: Karp 1972; this cut, of edges that all count 1: Garey, Johnson and
-# Stockmeyer 1976. PARTITION with constant matrices: $A = B = C = R = 1$, planned once, paying for
-# the end, has $\Psi = \frac{H}{H+1} \mathbf{1}\mathbf{1}^\top$.)
+# The states hand on all errors to the end, which is weighed by $H(2H I - L)$, $L$ the graph's
+# Laplacian; errors $\pm 1$ are the sides. Again only $u_0$, now of $H$ numbers, acts. The cost is
+# $H(2H^2 - 4\,\mathrm{cut}) - H$ plus less than $\frac12$, with numbers no larger than a polynomial
+# in $H$. (PARTITION: Karp 1972; this cut, of edges that all count 1: Garey, Johnson and Stockmeyer
+# 1976. PARTITION with constant matrices: $A = B = C = R = 1$, planned once, paying for the end, has
+# $\Psi = \frac{H}{H+1} \mathbf{1}\mathbf{1}^\top$.)
 #
 # </details>
 
@@ -293,8 +302,8 @@ print(f"{graph.sum()} edges: our cut {ours}, largest {max(cuts)}")
 assert ours == max(cuts)
 
 # %% [markdown]
-# What this does not say: anything about typical instances (the published one is closed by its
-# relaxation), or about `causal` and `measurement`, where steps decouple.
+# What this does not say: anything about typical instances (the relaxation of the published one is
+# tight to some $10^{-6}$), or about `causal` and `measurement`, where steps decouple.
 #
 # **In one paragraph.** Letting choices be fractions makes selection convex; value and bound bracket
 # its optimum at any iterate, and meet at the best. Gradients get there slowly on a stiff $\Psi$,
@@ -354,7 +363,7 @@ print("Exercise 1: right")
 # ### Exercise 2: a reduction of your own
 #
 # SUBSET SUM: do some of the positive integers add up to `target`? Write `subset_problem(integers,
-# target)`: a `SelectionProblem` with a `psi` of your choice, two models and free of prices, whose
+# target)`: a `SelectionProblem` with a `psi` of your choice, two models of prices `[0, 0]`, whose
 # optimum is 0 **if and only if** they do. (Hint: a last step at which both models err alike.)
 
 
