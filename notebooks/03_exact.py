@@ -29,7 +29,9 @@ import modelselect as ms
 #
 # A cart follows $x_{t+1} = x_t + u_t + s_t$, with $Q = R = 1$ and $H = 2$, and acts on a forecast
 # of its pushes $s_t$ (`preview`). Three models: b0 is free and errs by $1$; b1 costs 0.2 and errs
-# by $-0.5$; b2 costs 0.6 and errs by $0.1$. All costs, step 0 downwards, step 1 to the right:
+# by $-0.5$; b2 costs 0.6 and errs by $0.1$. A schedule with errors $e = (e_0, e_1)$ costs the
+# regret $e^\top \Psi e$ (notebook 1) plus its prices. All costs, step 0 downwards, step 1 to the
+# right:
 
 # %%
 one, mean = np.eye(1), np.tile([[1.0], [-0.5], [0.1]], (2, 1, 1))
@@ -42,14 +44,15 @@ print(f"Psi = {toy.psi.round(3).tolist()}\n{toy.total_cost(nine).reshape(3, 3).r
 # The best is b1, then b0, at 0.725: the errors partly cancel. Judged by itself, each step takes b1
 # (0.925).
 #
-# Now pick **any** point $d$, say $(\frac{2}{45}, \frac{4}{45})$, and replace the square by its
-# tangent there. Along it an error $\mu$ at either step costs $2\mu\,(\Psi d)_t = \frac{2}{15}\mu$,
-# and steps no longer meet. With its price, b0 costs $\frac{2}{15} = 0.133$, b1 $-\frac1{15} + 0.2 =
-# 0.133$, b2 $\frac{2}{150} + 0.6 = 0.613$. The cheapest of each step, added up, less $d^\top\Psi d
-# = 0.009$, make $LB = 0.258$.
+# Now pick **any** point $d$, say $(\frac{2}{45}, \frac{4}{45})$, and replace $e^\top \Psi e$ by its
+# tangent there, $2e^\top \Psi d - d^\top \Psi d$. Along it an error $\mu$ at either step costs
+# $2\mu\,(\Psi d)_t = \frac{2}{15}\mu$, and steps no longer meet. With its price, b0 costs
+# $\frac{2}{15} = 0.133$, b1 $-\frac1{15} + 0.2 = 0.133$, b2 $\frac{2}{150} + 0.6 = 0.613$. The
+# cheapest of each step, added up, less $d^\top\Psi d = 0.009$, make $LB = 0.258$.
 #
 # **Every** schedule costs exactly this bound, plus the **reduced costs** of its models (what each
-# costs above the cheapest: 0.48 for b2), plus a square that the tangent left out:
+# costs above the cheapest: 0.48 for b2), plus a square that the tangent left out,
+# $(e - d)^\top \Psi (e - d)$:
 
 # %% alt="Nine bars from the cheapest schedule, 0.725, to the dearest, 2.1: every bar is the same bound 0.258, plus 0.48 for each use of b2, plus a square. A dotted line at 0.725: the five bars of schedules with b2 pass it by bound and reduced costs alone." tags=["hide-input"]
 plt.rcParams.update(landing.STYLE)
@@ -76,8 +79,10 @@ plt.show()
 #
 # ## In general
 #
-# With $M = \alpha\Psi$, the chosen means $\mu_c$ and linear costs $\ell$ (variance and price),
-# $x^\top M x = 2x^\top M d - d^\top M d + (x - d)^\top M (x - d)$ gives, for every $d$ and $c$,
+# A schedule $c$ costs $\mu_c^\top M \mu_c + \sum_t \ell_{t,c_t}$ (notebook 2): $\mu_c$ are the
+# chosen mean errors, $M = \alpha\Psi \succeq 0$ with the weight $\alpha$ of regret, $\ell$ the
+# linear costs (variance and price). For every $d$ and $c$,
+# $\mu_c^\top M \mu_c = 2\mu_c^\top M d - d^\top M d + (\mu_c - d)^\top M (\mu_c - d)$, hence
 #
 # $$\mathrm{total}(c) = LB(d) + \sum_t r_{t,c_t} + (\mu_c - d)^\top M (\mu_c - d),$$
 #
@@ -86,7 +91,8 @@ plt.show()
 #
 # ($G_{tw}$ is no part of notebook 1's $S_t = G_t G_t^\top$.) No term after $LB(d)$ is negative.
 # The best $d$ is the mean error of the **relaxation**, the cheapest blend: weights of the models
-# at each step in place of a choice (notebook 4). A bad $d$ makes the bound loose, never wrong.
+# at each step in place of a choice (notebook 4). On two steps it is the $d$ above. A bad $d$ makes
+# the bound loose, never wrong.
 #
 # We check the identity on all 65,536 schedules of a longer cart: dear thrust, eight steps, four
 # models with signs drawn for every step.
@@ -131,8 +137,8 @@ print((reduced <= room).sum(axis=1).prod(), "schedules left")
 # ## Labels: what a partial schedule must remember
 #
 # We search from the last step to the first. Under `preview` the square is notebook 1's regret, a
-# sum over steps, with deviations $\varepsilon_t = \mu_{t,c_t} - d_t$ in place of errors and the
-# same costate $q$ ($q_H = 0$; let $\alpha = 1$):
+# sum over steps, with deviations $\varepsilon_t = \mu_{t,c_t} - d_t$ in place of errors, the same
+# $P$, $K$, $S$ of Riccati's recursion and the same costate $q$ ($q_H = 0$; let $\alpha = 1$):
 #
 # $$h_t = P_{t+1} C \varepsilon_t + q_{t+1}, \qquad q_t = (A - BK_t)^\top h_t, \qquad
 # \text{step } t \text{ pays } (B^\top h_t)^\top S_t^{-1} (B^\top h_t).$$
@@ -145,18 +151,19 @@ print((reduced <= room).sum(axis=1).prod(), "schedules left")
 #   most of it, $h_0 = \frac32 \cdot (-0.5) + \frac12 = -\frac14$. It pays $h_0^2 / S_0 = 0.025$ and
 #   its price 0.2: in all 0.725. After b1 the least is 0.925.
 #
-# So a **label** is: its extra cost so far (reduced costs and squares); its costate $q$, the $n$
-# numbers that are all that earlier steps feel of it; the models chosen.
+# So a **label** is: its extra cost so far (reduced costs and squares); its costate $q$, as many
+# numbers as the state has, all that earlier steps feel of it; the models chosen.
 #
 # ## When a label may die
 #
 # **Out of room**: its extra cost $x$ exceeds $\Delta$.
 #
-# **Dominated.** Give labels $i$ and $j$ of one step the same models at all earlier steps. These
-# add the same reduced costs to both, and squares $|y + v|^2$: $y$ is the label's costate as they
-# feel it, $v$ is theirs, the same for both. Within the room $x_j + |y_j + v|^2 \le \Delta$, so $v$
-# lies in a ball about $-y_j$ of radius $\sqrt{\Delta - x_j}$. **If the ball of $j$ lies inside
-# that of $i$, $j$ may die**:
+# **Dominated.** Give labels $i$ and $j$ of one step the same models at all earlier steps. These add
+# the same reduced costs to both, and squares $|y + v|^2$. The column $y + v$ stacks their
+# $S_t^{-1/2} B^\top h_t$: $y$ is linear in the label's $q$; $v$ comes from their own deviations,
+# the same for both. Within the room $x_j + |y_j + v|^2 \le \Delta$, so $v$ lies in a ball about
+# $-y_j$ of radius $\sqrt{\Delta - x_j}$. **If the ball of $j$ lies inside that of $i$, $j$ may
+# die**:
 #
 # $$\rho + \sqrt{\Delta - x_j} \le \sqrt{\Delta - x_i}, \qquad \rho = |y_i - y_j| .$$
 #
@@ -231,8 +238,9 @@ plt.show()
 #
 # ## Branch and bound: the same bound on a tree
 #
-# Relax: find the best blend, and with its $d$ the bound. If it does not reach the best schedule
-# known, split a step: a child for each model that reduced costs leave there; relax each.
+# Relax: find the best blend, and with its $d$ the bound. If it reaches the best schedule known,
+# drop the node. If not, split a step: a child for each model that reduced costs leave there (below,
+# at step 5, b0 and b2); relax each.
 
 # %% alt="A tree of 16 nodes as an indented list. The root's bound is 10.0281. Its four children settle step 2, theirs other steps; each node names step and model. The six that were split show bounds below the optimum 11.5894, the last by 0.0001; below the dotted leaves nothing is cheaper than it." tags=["hide-input"]
 tree = ms.branch_and_bound(problem).work["tree"]
@@ -272,12 +280,12 @@ assert lie.is_optimal and lie.cost > 1.01 * costs.min() and lie.proof == "search
 # %% [markdown]
 # ## Switching costs and a budget: the same certificate
 #
-# Let a change of model cost $\sigma$, and let a schedule spend at most $K$ on models and changes.
-# Now a schedule is a **path**. Its nodes, a model at each step, cost $G$; its arcs, from a model to
-# the next, cost $\sigma$ where the model changes. Take any $d$, and any $\lambda \ge 0$ as a price
-# on the budget: each node and arc costs $\lambda$ times what it spends, too. The cheapest path
-# takes the place of the sum of minima, $LB(d, \lambda) = \text{cheapest path} - d^\top M d -
-# \lambda K$:
+# Let a change of model cost $\sigma$, and let a schedule spend at most $K$ (not a gain here) on
+# models and changes. Now a schedule is a **path**. Its nodes, a model at each step, cost $G$; its
+# arcs, from a model to the next, cost $\sigma$ where the model changes. Take any $d$, and any
+# $\lambda \ge 0$ as a price on the budget: each node and arc costs $\lambda$ times what it spends,
+# too. The cheapest path takes the place of the sum of minima,
+# $LB(d, \lambda) = \text{cheapest path} - d^\top M d - \lambda K$:
 #
 # $$\mathrm{total} = LB(d, \lambda) + (\text{path} - \text{cheapest path})
 # + \lambda\,(K - \mathrm{spent}) + \text{square}.$$
@@ -309,9 +317,9 @@ print(f"cost {claim.cost:.3e}, schedules left: {possible.sum(axis=1).prod()}")
 assert possible.sum() == 150 and possible[np.arange(150), claim.choices].all()
 
 # %% [markdown]
-# Of $8^{150}$ schedules one is left: ours. Where signs are mixed, as on the cart, a blend of models
-# cancels better than any schedule. Then the bound lies below the optimum, and a search closes the
-# gap. Not always in time: the problem is NP-hard (`remark:np_status`, notebook 4).
+# Of $8^{150}$ schedules one is left: ours. On the cart signs are mixed, and a blend of models
+# cancels better than any schedule: the bound lies below the optimum, and a search closes the gap.
+# Not always in time: the problem is NP-hard (`remark:np_status`, notebook 4).
 #
 # **In one paragraph.** Any $d$ splits every cost into a bound, reduced costs and a square. Reduced
 # costs rule models out. The rest is searched from the last step: a label remembers its extra cost
