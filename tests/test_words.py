@@ -375,6 +375,9 @@ REFUSED |= {
     "psi: the costs overflow; rescale psi, mean, variance, the prices, alpha or beta": lambda: (
         problem(model_cost=[0, 1, 1e300], beta=1e10)
     ),
+    "problem: the error cost overflows; rescale psi or the mean errors": lambda: ms.error_cost(
+        problem(psi=1e200 * np.eye(2), mean=MEAN + 1e160 * np.eye(3)[:, :1], alpha=0)
+    ),
     "suite: expected PerceptionSuite, found int": lambda: ms.SelectionProblem.from_suite(
         np.eye(2), 3
     ),
