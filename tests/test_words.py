@@ -480,9 +480,9 @@ def turned(**changes):
 TASK = ms.ControlTask([[1.0]], [[1.0]], [[1.0]], [[1.0]], [[1.0]], len(S))
 
 
-def flown(s):
-    """States and controls of a filter that takes what pushes it for what it measures."""
-    return ms.run_controller(TASK, [1.0], s, s, "filter", gains=[[0.5]])
+def states():
+    """States of a robot that nothing pushes."""
+    return ms.run_controller(TASK, [1.0], 0 * S, 0 * S, "filter", gains=[[0.5]])[0][:-1]
 
 
 WARNED = {
@@ -507,8 +507,8 @@ WARNED = {
         run(30, "open_loop").problem, time_limit=0
     ),
     "s: expected an unknown push C s of mean zero, found what the models measure of the state, "
-    "which then pushes it; for perfect perception give s = 0 and s_hat = 0": lambda: flown(
-        flown(0 * S)[0][:-1]
+    "which then pushes it; for perfect perception give s = 0 and s_hat = 0": lambda: (
+        ms.run_controller(TASK, [1.0], states(), states(), "filter", gains=[[0.5]])
     ),
     "suite: looks that gave nothing are left out; see with_dropouts": lambda: (
         ms.SelectionProblem.from_suite(np.eye(2), replace(SUITE, miss_rate=np.ones((2, 3)) / 2))
@@ -525,13 +525,13 @@ def test_a_warning_says_what_is_odd_and_points_at_the_line_that_called(
     found = []
 
     def warn(said, stacklevel=1):
-        files = [frame.filename for frame in inspect.stack()[1:]]
-        ours = [file for file in files if "trampoline" not in file]  # by which mutmut calls all
-        found.append((said, ours[stacklevel - 1]))
+        stack = inspect.stack()[1:]
+        ours = [f for f in stack if "trampoline" not in f.filename]  # by which mutmut calls all
+        found.append((said, ours[stacklevel - 1].filename, ours[stacklevel - 1].function))
 
     monkeypatch.setattr(warnings, "warn", warn)
     WARNED[message]()
-    assert found == [(message, __file__)]
+    assert found == [(message, __file__, "<lambda>")]
 
 
 #: What is just not odd enough.
