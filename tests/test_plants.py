@@ -111,6 +111,12 @@ def test_single_precision_excuses_last_digits_only():
         ControlTask(np.eye(2), B, C, Q, [[1]], 3)
 
 
+def test_what_rounding_made_asymmetric_becomes_symmetric():
+    Q = np.array([[2, 1], [np.nextafter(1, 2), 2]])
+    task = ControlTask(np.eye(2), B, C, Q, [[1]], 3)
+    assert (task.Q == task.Q.T).all() and (task.Q_final == task.Q_final.T).all()
+
+
 def test_cross_terms_and_correlations_in_single_precision_are_taken():
     for seed in range(20):
         F = np.float32(np.random.default_rng(seed).normal(size=(2, 4)))

@@ -93,6 +93,19 @@ REFUSED = {
     "mean: expected shape (H, W, p) = (H, 2, p) (W = 2 as of names), found (2, 3, 1)": lambda: (
         PerceptionSuite(["a", "b"], MEAN, MEAN, [0, 1])
     ),
+    "variance: expected shape (H, W, p, p) = (2, 3, 1, 1), found (3, 3, 1, 1)": lambda: replace(
+        SUITE, variance=np.ones((3, 3, 1, 1))
+    ),
+    "cost: expected shape (H, W) = (2, 3), found (3, 3)": lambda: replace(SUITE, cost=np.eye(3)),
+    "delay: expected shape (H, W) = (2, 3), found (3, 3)": lambda: perception.with_latency(
+        SUITE, np.eye(3), [1]
+    ),
+    "variance: expected shape (H, p, p) = (2, 1, 1), found (2, 2, 2)": lambda: (
+        perception.with_latency(SUITE, 1, np.ones((2, 2, 2)))
+    ),
+    "drift: expected shape (H, p) = (2, 1), found (3, 1)": lambda: perception.with_latency(
+        SUITE, 1, [1], S[:3]
+    ),
     # ---- rows of residuals
     "residual: expected NaN in all components of a row or none, found some": lambda: rows(
         [[1.0, np.nan], [1, 2]]
@@ -316,6 +329,12 @@ SYSTEM = ms.sensitivity(task(), "preview")
 DOCUMENT = '{"format": "modelselect.Schedule", "version": 1}'
 REFUSED |= {
     # ---- solvers
+    "reference: the bound overflows; take a point among the mean errors": lambda: (
+        ms.reference_bound(problem(), [1e300, 1e300])
+    ),
+    "schedule.cost: expected 4.0, found 9.0": lambda: ms.check_certificate(
+        problem(), replace(ms.solve(problem()), cost=9.0)
+    ),
     "schedule.choices: expected available models within the budget": lambda: ms.check_certificate(
         problem(budget=1.0), replace(ms.solve(problem()), choices=[2, 2])
     ),
@@ -378,6 +397,12 @@ REFUSED |= {
     "problem: the error cost overflows; rescale psi or the mean errors": lambda: ms.error_cost(
         problem(psi=1e200 * np.eye(2), mean=MEAN + 1e160 * np.eye(3)[:, :1], alpha=0)
     ),
+    "variance: expected shape (H, W, p, p) = (2, 3, 1, 1), found (2, 3, 2, 2)": lambda: problem(
+        variance=np.ones((2, 3, 2, 2))
+    ),
+    "model_cost: expected shape (H, W) = (2, 3), found (3, 3)": lambda: problem(
+        model_cost=np.ones((3, 3))
+    ),
     "suite: expected PerceptionSuite, found int": lambda: ms.SelectionProblem.from_suite(
         np.eye(2), 3
     ),
@@ -397,6 +422,9 @@ REFUSED |= {
     ),
     # ---- control
     "gains: required by 'filter' (see kalman_gains), found None": lambda: ms.psi(task(), "filter"),
+    "gains: expected shape (H, n, p) = (2, 1, 1), found (3, 1, 1)": lambda: ms.psi(
+        task(), "filter", gains=np.ones((3, 1, 1))
+    ),
     "gains: used only by 'filter', found with 'causal'": lambda: ms.psi(
         task(), "causal", gains=[[0.5]]
     ),
@@ -405,6 +433,29 @@ REFUSED |= {
     ),
     "s_hat: expected the shape of s, (2, 1), found (3, 2, 1)": lambda: ms.run_controller(
         task(), [1.0], S[:2], np.ones((3, 2, 1)), "preview"
+    ),
+    "A: expected shape (H, n, n) = (2, 1, 1), found (3, 1, 1)": lambda: task(A=np.ones((3, 1, 1))),
+    "reference: expected shape (H+1, n) = (3, 1), found (2, 1)": lambda: ms.run_controller(
+        task(), [1.0], S[:2], S[:2], "preview", reference=S[:2]
+    ),
+    "process_noise: expected shape (H, n, n) = (2, 1, 1), found (3, 1, 1)": lambda: ms.kalman_gains(
+        task(), np.ones((3, 1, 1)), [[1]]
+    ),
+    "measurement_noise: expected shape (H, p, p) = (2, 1, 1), found (3, 1, 1)": lambda: (
+        ms.kalman_gains(task(), [[1]], np.ones((3, 1, 1)))
+    ),
+    "task: Psi overflows; rescale the costs or C, or shorten the horizon": lambda: ms.sensitivity(
+        task(C=[[1e155]]), "preview"
+    ),
+    "information: 'open_loop' believes what it foresaw earlier; use psi": lambda: ms.sensitivity(
+        task(), "open_loop"
+    ),
+    "errors: expected shape (pH,) = (2,), found (9, 1)": lambda: SYSTEM @ S,
+    "dt: expected a step in which the plant stays finite, found 1.0": lambda: (
+        ms.ControlTask.from_statespace(plant(A=[[1e5]], dt=0), *WEIGHTS, dt=1.0)
+    ),
+    "C: expected shape (n, p) = (1, p) (n = 1 as of A), found (2, 1)": lambda: (
+        ms.ControlTask.from_statespace(plant(dt=0), S[:2], *WEIGHTS[1:], dt=1.0)
     ),
     "system: expected a StateSpace with A, B and dt, found int": lambda: (
         ms.ControlTask.from_statespace(3, *WEIGHTS)
