@@ -97,6 +97,12 @@ REFUSED = {
         SUITE, variance=np.ones((3, 3, 1, 1))
     ),
     "cost: expected shape (H, W) = (2, 3), found (3, 3)": lambda: replace(SUITE, cost=np.eye(3)),
+    "variance: expected finite numbers, found inf at step 0, model 0, component 0": lambda: (
+        perception.with_dropouts(SUITE, 0.5, ([1e200], [1]))
+    ),
+    "mean: expected finite numbers, found -inf at step 0, model 0, component 0": lambda: (
+        perception.with_latency(SUITE, 1e200, [1], [1e200])
+    ),
     "delay: expected shape (H, W) = (2, 3), found (3, 3)": lambda: perception.with_latency(
         SUITE, np.eye(3), [1]
     ),
@@ -117,6 +123,7 @@ REFUSED = {
     ),
     "resolution: expected numbers >= 0, found -1": lambda: rows([1.0], resolution=-1),
     "period: expected numbers > 0, found 0": lambda: rows([1.0], period=0),
+    "residual: expected finite numbers, found -inf at [0]": lambda: rows([1e308], period=1e-300),
     "residuals: expected Residuals, or a table with the columns model,altitude,residual, found "
     "int": lambda: fitted(3),
     "residuals: expected Residuals, or a table with the columns model,altitude,residual, found "
@@ -378,6 +385,12 @@ REFUSED |= {
     "correlation: expected a positive semidefinite matrix, found smallest eigenvalue -1 (of the "
     "matrix scaled to unit diagonal)": lambda: ms.persistent_bias(
         np.ones((2, 1)), np.ones((2, 2, 1)), correlation=[[1, 2], [2, 1]]
+    ),
+    "problem: the lifted Psi overflows; rescale psi or the mean errors": lambda: (
+        ms.correlated_problem(
+            problem(psi=1e200 * np.eye(2), mean=MEAN + 1e160 * np.eye(3)[:, :1], alpha=0),
+            np.zeros((2, 3, 2, 3)),
+        )
     ),
     "integers: expected a sum of at most 1e7, found 10000001": lambda: ms.partition_problem(
         [10_000_000, 1]
