@@ -247,6 +247,12 @@ def test_no_price_of_a_budget_beats_the_best_one_by_much(seed):
     assert len(tried) == passes.CUTS or max(L) - bound <= 0.1 * (cost[k] - bound) + tiny
 
 
+def test_one_iteration_bounds_every_schedule():
+    problem = a_problem(0)
+    point = ms.relax_by_columns(problem, max_iterations=1)
+    assert point.iterations == 1 and point.bound <= ms.enumerate_schedules(problem).cost
+
+
 @pytest.mark.parametrize("solver", [*EXACT, ms.branch_and_bound, ms.round_and_swap])
 @pytest.mark.parametrize("limited", [False, True])
 @pytest.mark.parametrize("moves", [False, True])

@@ -604,6 +604,9 @@ FINE = {
     "who hovers sees few": lambda: fitted(rows([1.0, 2, 4, 7, 9]), bins=[0, 2]),
     "two errors of a turn": lambda: fitted(rows([1.0, -2, 359, 358, 0]), bins=[0, 9]),
     "all near a turn": lambda: fitted(rows([359.0, 358, 361, 362]), bins=[0, 9]),
+    "all of a component near a turn": lambda: fitted(
+        rows([[359.0, 1], [358, 3], [361, -1], [362, 0]]), bins=[0, 9]
+    ),
     "a tenth of a turn off": lambda: fitted(rows([1.0, 36, 359, 358, 361]), bins=[0, 9]),
     "just half a period": lambda: fitted(rows([60.0, 100, 140], period=360), bins=[0, 9]),
     "rounded alike": lambda: perception.read_residuals("twice.csv", resolution=0.1),
