@@ -214,7 +214,8 @@ def sensitivity(
     with np.errstate(over="ignore", invalid="ignore"):
         plain = _in_felt_states(*_beliefs(task, information, observer))
         other = _in_felt_states(*_beliefs(*in_other_units(task, information, observer)))
-    if not all(np.isfinite(array).all() for array in (*plain[:-1], *other[:-1])):
+        diagonal = (plain[0] ** 2).sum(axis=1) + (plain[3] ** 2).sum(axis=1)
+    if not all(np.isfinite(array).all() for array in (*plain[:-1], *other[:-1], diagonal)):
         raise ValueError("task: Psi overflows; rescale the costs or C, or shorten the horizon")
     system = Sensitivity(*plain)
     size = felt_size(task, system.diagonal(), observer)

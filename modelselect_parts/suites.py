@@ -58,16 +58,16 @@ class PerceptionSuite(Frozen):
         known = f" (W = {len(names)} as of names)"
         mean = check_array("mean", self.mean, "H W p", (None, len(names), None), known=known)
         H, W, p = mean.shape
-        variance = check_array("variance", self.variance, "...", ())
-        shape = ("H W p p", (H, W, p, p)) if variance.ndim == 4 else ("H W p", (H, W, p))
-        variance = check_array("variance", variance, *shape)
-        if variance.ndim == 4:
+        full = as_numbers("variance", self.variance).ndim == 4
+        shape = ("H W p p", (H, W, p, p)) if full else ("H W p", (H, W, p))
+        variance = check_array("variance", self.variance, *shape)
+        if full:
             variance = check_semidefinite("variance", variance, given=self.variance)
         else:
             check_range("variance", variance)
-        cost = check_array("cost", priced(self.cost, names), "...", (), finite=False)
-        width = ("H W", (H, W)) if cost.ndim == 2 else ("W", (W,))
-        cost = check_array("cost", cost, *width, finite=False)
+        price = priced(self.cost, names)
+        width = ("H W", (H, W)) if as_numbers("cost", price).ndim == 2 else ("W", (W,))
+        cost = check_array("cost", price, *width, finite=False)
         if np.isneginf(cost).any() or (none := np.isinf(np.atleast_2d(cost)).all(axis=1)).any():
             found = "-inf" if np.isneginf(cost).any() else f"none at step {none.argmax()}"
             raise ValueError(f"cost: expected a finite cost at every step, found {found}")

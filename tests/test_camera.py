@@ -307,7 +307,8 @@ def test_new_weights_are_normal_with_variance_two_over_inputs(size):
     for layer, n, scale in zip(layers, inputs, (1, 1, 1, 0.1), strict=True):
         assert layer.weight.shape == (n, len(layer.bias)) and not layer.bias.any()
         z = layer.weight.ravel() / (scale * math.sqrt(2 / n))
-        assert kstest(z, "norm").pvalue > 1e-6 and layer.weight.dtype == np.float32
+        assert kstest(z, "norm").pvalue > 1e-6
+        assert layer.weight.dtype == layer.bias.dtype == np.float32
 
 
 def test_larger_models_cost_more():

@@ -233,7 +233,7 @@ def test_no_price_of_a_budget_beats_the_best_one_by_much(seed):
     first = float(np.random.default_rng(seed).random())
     lam = passes.best_price(cut_at, limit, known, first, lambda: False)
     asked = len(tried)
-    passes.best_price(cut_at, limit, known, first, lambda: True)
+    assert passes.best_price(cut_at, limit, known, first, lambda: True) == first
     assert len(tried) == asked + 1  # out of time
     del tried[asked:]
     tiny = 1e-12 * np.abs(cost).max()
@@ -245,6 +245,40 @@ def test_no_price_of_a_budget_beats_the_best_one_by_much(seed):
     L = [(cost + price * (spent - limit)).min() for price in (0.0, *prices)]
     assert bound <= max(L) + tiny <= cost[k] + 2 * tiny
     assert len(tried) == passes.CUTS or max(L) - bound <= 0.1 * (cost[k] - bound) + tiny
+
+
+def test_one_iteration_bounds_every_schedule():
+    problem = a_problem(0)
+    point = ms.relax_by_columns(problem, max_iterations=1)
+    assert point.iterations == 1 and point.bound <= ms.enumerate_schedules(problem).cost
+
+
+@pytest.mark.parametrize("solver", [*EXACT, ms.branch_and_bound, ms.round_and_swap])
+@pytest.mark.parametrize("limited", [False, True])
+@pytest.mark.parametrize("moves", [False, True])
+def test_nothing_depends_on_units(moves, limited, solver):
+    """Powers of two change no digit: the work, too, is the same to the last label."""
+    rng, H, W = np.random.default_rng(3), 4, 3
+    F, price = rng.normal(size=(H, H)), 4 * np.sort(rng.random(W))
+    cost, error = 2.0**-200, 2.0**9
+    terms = {  # in one unit, and how many times as large they are in the other
+        "psi": (F @ F.T, cost / error**2),
+        "mean": (rng.normal(size=(H, W, 1)), error),
+        "variance": (rng.random((H, W, 1)), error**2),
+        "model_cost": (price, cost),
+        "pull": (rng.normal(size=(H, 1)), cost / error),
+    }
+    if moves:
+        terms["switch_cost"] = (rng.random((W, W)) * (1 - np.eye(W)), cost)
+    if limited:
+        terms["budget"] = (H * (3 * price[0] + price[1]) / 4, cost)
+    one = solver(SelectionProblem(**{name: value for name, (value, _) in terms.items()}))
+    other = solver(SelectionProblem(**{name: value * k for name, (value, k) in terms.items()}))
+    assert (other.choices == one.choices).all()
+    for name, k in (("cost", cost), ("lower_bound", cost), ("reference", error)):
+        np.testing.assert_allclose(getattr(other, name), k * getattr(one, name), 1e-13)
+    for count in {"labels", "passes", "complete", "nodes", "swaps"} & set(one.work):
+        assert np.array_equal(other.work[count], one.work[count])
 
 
 @given(SEEDS, st.sampled_from([1.0, 1e6, 1e12]))

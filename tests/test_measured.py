@@ -44,6 +44,12 @@ def test_views_are_split_and_not_rows():
     [
         (lambda r: replace(r, model=[0] * len(r.model)), "residuals: expected every model once"),
         (lambda r: replace(r, variables=("a", "b", "altitude")), "residuals: expected a column vi"),
+        (
+            lambda r: replace(
+                r, residual=np.ones((len(r.model), 2)), components=None, resolution=0
+            ),
+            "residuals: expected one number of each of 2 models",
+        ),
         (lambda r: np.eye(2), "residuals: expected Residuals, found ndarray"),
     ],
 )

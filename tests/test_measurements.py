@@ -458,11 +458,15 @@ def test_pandas_frames_are_such_tables():
 
 def test_a_guard_takes_covariances():
     rng = np.random.default_rng(0)
-    residuals = one_model(rng.normal(size=(30, 2)))
+    residuals = one_model(rng.normal(size=(30, 2)) @ [[1, -0.5], [0, 1]])
     suite = fit_suite(residuals, [1.0, 1.0], [1], bins=[0, 2])
     guarded = guard_suite(suite)
     assert suite.variance.shape == guarded.variance.shape == (2, 1, 2, 2)
+    assert suite.variance.min() < 0  # between components that err in opposite directions
     assert (np.abs(guarded.mean) > np.abs(suite.mean)).all()
+    larger = guarded.variance / suite.variance
+    np.testing.assert_allclose(larger, larger[0, 0, 0, 0])
+    assert larger.min() > 1
 
 
 def test_three_lines_for_a_model_that_sometimes_sees_nothing():

@@ -164,7 +164,7 @@ def test_a_suite_is_a_frozen_copy(field):
         ("cost", np.ones((3, 2)), "cost: expected shape (H, W) = (2, 3), found (3, 2)"),
         ("cost", [[1, 2], [3]], "cost: expected a rectangular array"),
         ("names", ("a", "#b", "c"), "names: expected distinct, non-blank strings"),
-        ("cost", [1, 2, np.nan], "cost: expected finite or infinite numbers, found nan at [2]"),
+        ("cost", [1, 2, np.nan], "cost: expected finite or infinite numbers, found nan at model 2"),
         ("cost", [1, 2, -np.inf], "cost: expected a finite cost at every step, found -inf"),
         ("cost", [[1, 2, 3], [np.inf] * 3], "cost: expected a finite cost at every step"),
         ("cost", ["1", "2", "3"], "cost: expected real numbers"),

@@ -102,6 +102,21 @@ def test_single_precision_is_known_whatever_holds_it(form):
     assert refused > 5  # in double precision these would be digits that are wrong
 
 
+def test_single_precision_excuses_last_digits_only():
+    Q = np.array([[1, 1.0001], [1.0001, 1]], np.float32)  # of eigenvalue -1e-4
+    with pytest.raises(ValueError, match=r"^Q: expected a positive semidefinite matrix"):
+        ControlTask(np.eye(2), B, C, Q, [[1]], 3)
+    Q = np.array([[2, 1], [1.0001, 2]], np.float32)
+    with pytest.raises(ValueError, match=r"^Q: expected a symmetric matrix"):
+        ControlTask(np.eye(2), B, C, Q, [[1]], 3)
+
+
+def test_what_rounding_made_asymmetric_becomes_symmetric():
+    Q = np.array([[2, 1], [np.nextafter(1, 2), 2]])
+    task = ControlTask(np.eye(2), B, C, Q, [[1]], 3)
+    assert (task.Q == task.Q.T).all() and (task.Q_final == task.Q_final.T).all()
+
+
 def test_cross_terms_and_correlations_in_single_precision_are_taken():
     for seed in range(20):
         F = np.float32(np.random.default_rng(seed).normal(size=(2, 4)))

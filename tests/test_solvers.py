@@ -707,6 +707,13 @@ def test_a_lower_bound_outside_root_bound_and_cost_has_no_certificate(off):
             ms.check_certificate(problem, replace(schedule, lower_bound=claim))
 
 
+def test_enumeration_compares_all_that_rounding_cannot_tell_apart():
+    mean = np.array([[[1e8], [0]], [[1e8 + 1], [0.5]]])  # errors of 1e8 cancel to 1: it costs more
+    problem = ms.SelectionProblem([[1, -1], [-1, 1]], mean, 0 * mean, [0, 0])
+    found = ms.enumerate_schedules(problem)
+    assert found.choices.tolist() == [1, 1] and found.cost == 0.25
+
+
 def test_enumeration_keeps_the_best_of_several_blocks():
     # 3^10 schedules fill four blocks; the cheapest, found first, must survive the later ones.
     mean = np.tile([[0.0], [1.0], [2.0]], (10, 1, 1))

@@ -93,6 +93,25 @@ REFUSED = {
     "mean: expected shape (H, W, p) = (H, 2, p) (W = 2 as of names), found (2, 3, 1)": lambda: (
         PerceptionSuite(["a", "b"], MEAN, MEAN, [0, 1])
     ),
+    "variance: expected shape (H, W, p, p) = (2, 3, 1, 1), found (3, 3, 1, 1)": lambda: replace(
+        SUITE, variance=np.ones((3, 3, 1, 1))
+    ),
+    "cost: expected shape (H, W) = (2, 3), found (3, 3)": lambda: replace(SUITE, cost=np.eye(3)),
+    "variance: expected finite numbers, found inf at step 0, model 0, component 0": lambda: (
+        perception.with_dropouts(SUITE, 0.5, ([1e200], [1]))
+    ),
+    "mean: expected finite numbers, found -inf at step 0, model 0, component 0": lambda: (
+        perception.with_latency(SUITE, 1e200, [1], [1e200])
+    ),
+    "delay: expected shape (H, W) = (2, 3), found (3, 3)": lambda: perception.with_latency(
+        SUITE, np.eye(3), [1]
+    ),
+    "variance: expected shape (H, p, p) = (2, 1, 1), found (2, 2, 2)": lambda: (
+        perception.with_latency(SUITE, 1, np.ones((2, 2, 2)))
+    ),
+    "drift: expected shape (H, p) = (2, 1), found (3, 1)": lambda: perception.with_latency(
+        SUITE, 1, [1], S[:3]
+    ),
     # ---- rows of residuals
     "residual: expected NaN in all components of a row or none, found some": lambda: rows(
         [[1.0, np.nan], [1, 2]]
@@ -104,6 +123,7 @@ REFUSED = {
     ),
     "resolution: expected numbers >= 0, found -1": lambda: rows([1.0], resolution=-1),
     "period: expected numbers > 0, found 0": lambda: rows([1.0], period=0),
+    "residual: expected finite numbers, found -inf at [0]": lambda: rows([1e308], period=1e-300),
     "residuals: expected Residuals, or a table with the columns model,altitude,residual, found "
     "int": lambda: fitted(3),
     "residuals: expected Residuals, or a table with the columns model,altitude,residual, found "
@@ -316,6 +336,12 @@ SYSTEM = ms.sensitivity(task(), "preview")
 DOCUMENT = '{"format": "modelselect.Schedule", "version": 1}'
 REFUSED |= {
     # ---- solvers
+    "reference: the bound overflows; take a point among the mean errors": lambda: (
+        ms.reference_bound(problem(), [1e300, 1e300])
+    ),
+    "schedule.cost: expected 4.0, found 9.0": lambda: ms.check_certificate(
+        problem(), replace(ms.solve(problem()), cost=9.0)
+    ),
     "schedule.choices: expected available models within the budget": lambda: ms.check_certificate(
         problem(budget=1.0), replace(ms.solve(problem()), choices=[2, 2])
     ),
@@ -360,6 +386,12 @@ REFUSED |= {
     "matrix scaled to unit diagonal)": lambda: ms.persistent_bias(
         np.ones((2, 1)), np.ones((2, 2, 1)), correlation=[[1, 2], [2, 1]]
     ),
+    "problem: the lifted Psi overflows; rescale psi or the mean errors": lambda: (
+        ms.correlated_problem(
+            problem(psi=1e200 * np.eye(2), mean=MEAN + 1e160 * np.eye(3)[:, :1], alpha=0),
+            np.zeros((2, 3, 2, 3)),
+        )
+    ),
     "integers: expected a sum of at most 1e7, found 10000001": lambda: ms.partition_problem(
         [10_000_000, 1]
     ),
@@ -374,6 +406,15 @@ REFUSED |= {
     ),
     "psi: the costs overflow; rescale psi, mean, variance, the prices, alpha or beta": lambda: (
         problem(model_cost=[0, 1, 1e300], beta=1e10)
+    ),
+    "problem: the error cost overflows; rescale psi or the mean errors": lambda: ms.error_cost(
+        problem(psi=1e200 * np.eye(2), mean=MEAN + 1e160 * np.eye(3)[:, :1], alpha=0)
+    ),
+    "variance: expected shape (H, W, p, p) = (2, 3, 1, 1), found (2, 3, 2, 2)": lambda: problem(
+        variance=np.ones((2, 3, 2, 2))
+    ),
+    "model_cost: expected shape (H, W) = (2, 3), found (3, 3)": lambda: problem(
+        model_cost=np.ones((3, 3))
     ),
     "suite: expected PerceptionSuite, found int": lambda: ms.SelectionProblem.from_suite(
         np.eye(2), 3
@@ -394,6 +435,9 @@ REFUSED |= {
     ),
     # ---- control
     "gains: required by 'filter' (see kalman_gains), found None": lambda: ms.psi(task(), "filter"),
+    "gains: expected shape (H, n, p) = (2, 1, 1), found (3, 1, 1)": lambda: ms.psi(
+        task(), "filter", gains=np.ones((3, 1, 1))
+    ),
     "gains: used only by 'filter', found with 'causal'": lambda: ms.psi(
         task(), "causal", gains=[[0.5]]
     ),
@@ -402,6 +446,29 @@ REFUSED |= {
     ),
     "s_hat: expected the shape of s, (2, 1), found (3, 2, 1)": lambda: ms.run_controller(
         task(), [1.0], S[:2], np.ones((3, 2, 1)), "preview"
+    ),
+    "A: expected shape (H, n, n) = (2, 1, 1), found (3, 1, 1)": lambda: task(A=np.ones((3, 1, 1))),
+    "reference: expected shape (H+1, n) = (3, 1), found (2, 1)": lambda: ms.run_controller(
+        task(), [1.0], S[:2], S[:2], "preview", reference=S[:2]
+    ),
+    "process_noise: expected shape (H, n, n) = (2, 1, 1), found (3, 1, 1)": lambda: ms.kalman_gains(
+        task(), np.ones((3, 1, 1)), [[1]]
+    ),
+    "measurement_noise: expected shape (H, p, p) = (2, 1, 1), found (3, 1, 1)": lambda: (
+        ms.kalman_gains(task(), [[1]], np.ones((3, 1, 1)))
+    ),
+    "task: Psi overflows; rescale the costs or C, or shorten the horizon": lambda: ms.sensitivity(
+        task(C=[[1e155]]), "preview"
+    ),
+    "information: 'open_loop' believes what it foresaw earlier; use psi": lambda: ms.sensitivity(
+        task(), "open_loop"
+    ),
+    "errors: expected shape (pH,) = (2,), found (9, 1)": lambda: SYSTEM @ S,
+    "dt: expected a step in which the plant stays finite, found 1.0": lambda: (
+        ms.ControlTask.from_statespace(plant(A=[[1e5]], dt=0), *WEIGHTS, dt=1.0)
+    ),
+    "C: expected shape (n, p) = (1, p) (n = 1 as of A), found (2, 1)": lambda: (
+        ms.ControlTask.from_statespace(plant(dt=0), S[:2], *WEIGHTS[1:], dt=1.0)
     ),
     "system: expected a StateSpace with A, B and dt, found int": lambda: (
         ms.ControlTask.from_statespace(3, *WEIGHTS)
@@ -477,9 +544,9 @@ def turned(**changes):
 TASK = ms.ControlTask([[1.0]], [[1.0]], [[1.0]], [[1.0]], [[1.0]], len(S))
 
 
-def flown(s):
-    """States and controls of a filter that takes what pushes it for what it measures."""
-    return ms.run_controller(TASK, [1.0], s, s, "filter", gains=[[0.5]])
+def states():
+    """States of a robot that nothing pushes."""
+    return ms.run_controller(TASK, [1.0], 0 * S, 0 * S, "filter", gains=[[0.5]])[0][:-1]
 
 
 WARNED = {
@@ -504,8 +571,8 @@ WARNED = {
         run(30, "open_loop").problem, time_limit=0
     ),
     "s: expected an unknown push C s of mean zero, found what the models measure of the state, "
-    "which then pushes it; for perfect perception give s = 0 and s_hat = 0": lambda: flown(
-        flown(0 * S)[0][:-1]
+    "which then pushes it; for perfect perception give s = 0 and s_hat = 0": lambda: (
+        ms.run_controller(TASK, [1.0], states(), states(), "filter", gains=[[0.5]])
     ),
     "suite: looks that gave nothing are left out; see with_dropouts": lambda: (
         ms.SelectionProblem.from_suite(np.eye(2), replace(SUITE, miss_rate=np.ones((2, 3)) / 2))
@@ -522,13 +589,13 @@ def test_a_warning_says_what_is_odd_and_points_at_the_line_that_called(
     found = []
 
     def warn(said, stacklevel=1):
-        files = [frame.filename for frame in inspect.stack()[1:]]
-        ours = [file for file in files if "trampoline" not in file]  # by which mutmut calls all
-        found.append((said, ours[stacklevel - 1]))
+        stack = inspect.stack()[1:]
+        ours = [f for f in stack if "trampoline" not in f.filename]  # by which mutmut calls all
+        found.append((said, ours[stacklevel - 1].filename, ours[stacklevel - 1].function))
 
     monkeypatch.setattr(warnings, "warn", warn)
     WARNED[message]()
-    assert found == [(message, __file__)]
+    assert found == [(message, __file__, "<lambda>")]
 
 
 #: What is just not odd enough.
@@ -537,6 +604,9 @@ FINE = {
     "who hovers sees few": lambda: fitted(rows([1.0, 2, 4, 7, 9]), bins=[0, 2]),
     "two errors of a turn": lambda: fitted(rows([1.0, -2, 359, 358, 0]), bins=[0, 9]),
     "all near a turn": lambda: fitted(rows([359.0, 358, 361, 362]), bins=[0, 9]),
+    "all of a component near a turn": lambda: fitted(
+        rows([[359.0, 1], [358, 3], [361, -1], [362, 0]]), bins=[0, 9]
+    ),
     "a tenth of a turn off": lambda: fitted(rows([1.0, 36, 359, 358, 361]), bins=[0, 9]),
     "just half a period": lambda: fitted(rows([60.0, 100, 140], period=360), bins=[0, 9]),
     "rounded alike": lambda: perception.read_residuals("twice.csv", resolution=0.1),
