@@ -184,8 +184,7 @@ holds("that of the kernel is less than half as far off", over["kernel"] < over["
 # each through a new scene. Regret is more than was promised. Is $\Psi$ to blame? No: $e'\Psi e$ of
 # the errors that are met is the regret (but for gusts, which average out). The table is: it was
 # measured for the glide path, and errors lead the drone off it. "Place" is more than altitude: in
-# the first seconds errors also tilt the drone, by more than in the pictures (rms 0.14 rad). Either
-# alone, altitude or tilt, adds less than half of what both add (1,000 landings, not shown).
+# the first seconds errors also tilt the drone, by more than in the pictures.
 
 # %%
 s = kernel.landing.draw_inputs(np.random.default_rng(2), 200)  # gusts
