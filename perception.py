@@ -164,7 +164,7 @@ def gaussian_suite(
     price = check_array("cost", priced(cost, known), "... W", (None,), finite=False)
     H, W = len(x), price.shape[-1]
     w = np.arange(W, dtype=np.float64)
-    with np.errstate(over="ignore", invalid="ignore"):
+    with np.errstate(all="ignore"):
         mean = check_array("bias", bias(w, x[:, None]), "H W", (H, W))
         deviation = check_array("spread", spread(w, x[:, None]), "H W", (H, W))
     check_range("spread", deviation, LARGEST)

@@ -111,7 +111,7 @@ class BlendProblem(Frozen):
         c = check_array("blend", blend, "... H", (len(self.linear),))
         # Not in canonical form, which loses the digits of f(0) - f(c) where models differ much.
         ell = self.problem.linear
-        with np.errstate(over="ignore", invalid="ignore"):
+        with np.errstate(all="ignore"):
             d = self._mean(c)
             cost = ((d @ self.problem.quadratic) * d).sum(axis=-1)
             cost += (1 - c) @ ell[:, self.worst] + c @ ell[:, self.best]

@@ -141,7 +141,7 @@ def correlated_problem(problem: SelectionProblem, covariance: Covariance) -> Sel
     H, W, p = problem.mean.shape
     joint = _joint(problem, covariance, *np.divmod(np.arange(H * W), W))
     mu, Psi = problem.mean.ravel(), np.asarray(problem.psi).reshape(2 * (H, p))
-    with np.errstate(over="ignore", invalid="ignore"):
+    with np.errstate(all="ignore"):
         M = (joint + np.outer(mu, mu)).reshape(2 * (H, W, p))
         lifted = np.einsum("trks,twrkvs->twkv", Psi, M).reshape(2 * (H * W,))
         lifted = (lifted + lifted.T) / 2

@@ -109,7 +109,7 @@ def projected_gradient(
         faster = (1 + math.sqrt(1 + 4 * momentum**2)) / 2
         beyond = (momentum - 1) / faster
         ahead = x + beyond * (x - older)
-        with np.errstate(over="ignore", invalid="ignore"):  # far beyond the set is far enough
+        with np.errstate(all="ignore"):  # far beyond the set is far enough
             move = step * (slope + beyond * (slope - older_slope))
             new = project(ahead - np.clip(move, -1e200, 1e200))
             uphill = ((ahead - new) / step * (new - x)).sum() > 0

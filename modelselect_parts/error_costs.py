@@ -34,7 +34,7 @@ def error_cost(problem: SelectionProblem) -> ErrorCost:
     check_class("problem", problem, "SelectionProblem")
     H, W, _ = problem.mean.shape
     always = np.repeat(np.arange(W)[:, None], H, axis=1)
-    with np.errstate(over="ignore", invalid="ignore"):
+    with np.errstate(all="ignore"):
         noise = problem.spread.sum(axis=0)
         own = np.einsum("twi,tij,twj->w", problem.mean, problem.blocks, problem.mean)
         variance = problem.variance

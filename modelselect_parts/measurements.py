@@ -79,7 +79,7 @@ class Residuals(Frozen):
         self._set(residual=residual, resolution=resolution)
         if self.period is not None:
             period = check_each("period", self.period, p, minimum=np.finfo(float).tiny)
-            with np.errstate(over="ignore", invalid="ignore"):  # checked thereafter
+            with np.errstate(all="ignore"):  # checked thereafter
                 turns = np.round(residual.reshape(N, p) / period)
                 turned = residual.reshape(N, p) - np.where(np.isinf(period), 0, period) * turns
             self._set(period=period, residual=_check_residuals(turned.reshape(residual.shape)))

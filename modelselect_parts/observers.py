@@ -58,7 +58,7 @@ def _steady(A: Array, sees: Array, W: Array, V: Array) -> Array:
     The stabilising solution of the controller's Riccati equation, all transposed.
     """
     try:
-        with np.errstate(over="ignore", invalid="ignore"):
+        with np.errstate(all="ignore"):
             P = np.asarray(la.solve_discrete_are(A.T, sees.T, W, V))
     except np.linalg.LinAlgError:
         P = np.array(np.nan)

@@ -147,7 +147,7 @@ class SelectionProblem(Stored):
         }
         self._set(psi=Psi, mean=mean, variance=variance, model_cost=cost, **weights)
         self._check_beyond_the_paper(H, W, p)
-        with np.errstate(over="ignore", invalid="ignore"):
+        with np.errstate(all="ignore"):
             # By Cauchy and Schwarz, a bound on every |mu|'|alpha Psi||mu|, without Psi's square.
             felt = np.sqrt(self.alpha * np.abs(Psi.diagonal())) @ np.abs(mean).max(axis=1).ravel()
             largest = felt**2 + self.linear_size.sum() + self._most_spent * max(self.beta, 1)

@@ -194,7 +194,7 @@ def _regret_rows(
     nothing = np.zeros((task.n, errors.shape[-1]))
     late = expected = nothing if expected is None else expected
     found = np.empty((task.horizon, task.m, errors.shape[-1]))
-    with np.errstate(over="ignore", invalid="ignore"):
+    with np.errstate(all="ignore"):
         r = _foreseen(task, errors * row.foresight)
         for t, step in enumerate(task._roots):
             look = Look(nothing, expected, C[t], errors[t], late, *at_step(observer, t))
@@ -277,7 +277,7 @@ def _squared_regret(task: ControlTask, information: str, observer: Observer | No
     H, p = task.horizon, task.p
     each = np.eye(H * p).reshape(H, p, H * p)
     Y = _regret_rows(task, information, each, observer).reshape(-1, H * p)
-    with np.errstate(over="ignore", invalid="ignore"):
+    with np.errstate(all="ignore"):
         return np.asarray(Y.T @ Y)
 
 
@@ -300,7 +300,7 @@ def preview_regret(task: ControlTask, errors: npt.ArrayLike) -> Any:
     check_class("task", task, "ControlTask")
     e = check_array("errors", errors, "... H p", (task.horizon, task.p))
     rows = _regret_rows(task, "preview", _columns(e))
-    with np.errstate(over="ignore", invalid="ignore"):
+    with np.errstate(all="ignore"):
         regret = (rows**2).sum(axis=(0, 1)).reshape(e.shape[:-2])
     if not np.isfinite(regret).all():
         raise ValueError("errors: the regret overflows; rescale the errors or the costs")
@@ -328,7 +328,7 @@ def prior_pull(
     each = np.eye(H * p).reshape(H, p, H * p)
     Y = _regret_rows(task, information, each, observer)
     y = _regret_rows(task, information, np.zeros((H, p, 1)), observer, m)
-    with np.errstate(over="ignore", invalid="ignore"):
+    with np.errstate(all="ignore"):
         pull = np.asarray(2 * np.einsum("tik,ti->k", Y, y[..., 0]).reshape(H, p))
     if not np.isfinite(pull).all():
         raise ValueError("prior_error: the pull overflows; rescale it, the gains or the costs")
@@ -366,7 +366,7 @@ def roll_out(
     d = (np.zeros((H, task.n)) if known is None else known)[..., None]
     inputs, state = _columns(s), np.repeat(x0[:, None], len(s), axis=1)
     states, controls, expected, late = [state], [], state, state
-    with np.errstate(over="ignore", invalid="ignore"):
+    with np.errstate(all="ignore"):
         r = _foreseen(task, _columns(ahead), d)
         for t, step in zip(range(H), task._roots, strict=True):
             error = perceive(t, state.T).T

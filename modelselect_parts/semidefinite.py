@@ -24,7 +24,7 @@ def judged(matrices: Array) -> tuple[float, float]:
     diagonal = np.diagonal(matrices, axis1=-2, axis2=-1)[..., None]
     # Beside a zero on the diagonal, nothing but underflow may stand.
     scale = np.sqrt(np.where(diagonal == 0, 1e-300, np.abs(diagonal)))
-    with np.errstate(over="ignore", invalid="ignore"):
+    with np.errstate(all="ignore"):
         scaled = matrices / scale / np.swapaxes(scale, -1, -2)
         skew = np.abs(scaled - np.swapaxes(scaled, -1, -2)).max()
     # Entries that overflow exceed their diagonal by far: the matrix is indefinite.

@@ -211,7 +211,7 @@ def sensitivity(
     """
     check_class("task", task, "ControlTask")
     observer = observer_of(task, information, gains)
-    with np.errstate(over="ignore", invalid="ignore"):
+    with np.errstate(all="ignore"):
         plain = _in_felt_states(*_beliefs(task, information, observer))
         other = _in_felt_states(*_beliefs(*in_other_units(task, information, observer)))
         diagonal = (plain[0] ** 2).sum(axis=1) + (plain[3] ** 2).sum(axis=1)

@@ -156,7 +156,7 @@ def with_dropouts(
         mu_f, S_f = mu[:, [f]], suite.variance[:, [f]]
         cost = _price_with_fallback(cost, q, f)
     q1, q2 = q[..., None], q[..., None, None]
-    with np.errstate(over="ignore", invalid="ignore"):  # what overflows, the suite refuses
+    with np.errstate(all="ignore"):  # what overflows, the suite refuses
         gap = mu - mu_f
         between = q2 * (1 - q2) * (gap[..., None] * gap[..., None, :])
         S = (1 - q2) * _full(suite.variance) + q2 * _full(S_f) + between
@@ -202,7 +202,7 @@ def with_latency(
     S, v = suite.variance, _spread("variance", variance, H, p)
     if S.ndim != v.ndim:
         S, v = _full(S), _full(v)
-    with np.errstate(over="ignore", invalid="ignore"):
+    with np.errstate(all="ignore"):
         mean = suite.mean - delta[..., None] * d
         S = S + delta.reshape(*delta.shape, *[1] * (S.ndim - 2)) * v
     return PerceptionSuite(suite.names, mean, S, suite.cost)

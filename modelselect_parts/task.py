@@ -154,7 +154,7 @@ class ControlTask(Frozen):
         n, (_, m) = len(A), B.shape
         both = np.hstack([B, check_array("C", C, "n p", (n, None), known=f" (n = {n} as of A)")])
         k = both.shape[1]
-        with np.errstate(over="ignore", invalid="ignore"):  # Van Loan 1978
+        with np.errstate(all="ignore"):  # Van Loan 1978
             held = la.expm(sample * np.block([[A, both], [np.zeros((k, n + k))]]))
         if not np.isfinite(held).all():
             raise ValueError(f"dt: expected a step in which the plant stays finite, found {dt}")
@@ -239,7 +239,7 @@ def control_cost(task: ControlTask, states: npt.ArrayLike, controls: npt.ArrayLi
             f"controls: expected the leading axes of states, {x.shape[:-2]}, found {u.shape[:-2]}"
         )
     _, _, _, Q, R = task.over_time()
-    with np.errstate(over="ignore", invalid="ignore"):
+    with np.errstate(all="ignore"):
         over_states = np.einsum("...ti,tij,...tj->...", x[..., 1:, :], Q[1:], x[..., 1:, :])
         cost = over_states + np.einsum("...ti,tij,...tj->...", u, R, u)
         if task.N is not None:
@@ -306,7 +306,7 @@ def _square_root_recursion(task: ControlTask) -> list[_Roots]:
     R_root, cross_root, Q_rest = _without_cross(Q[:-1], R, task._cross)
     Q_root, F = semidefinite_root(Q_rest), semidefinite_root(Q[H])
     steps: list[_Roots] = [None] * H  # type: ignore[list-item]
-    with np.errstate(over="ignore", invalid="ignore"):
+    with np.errstate(all="ignore"):
         for t in reversed(range(H)):
             controls, states = F.T @ B[t], F.T @ A[t]
             if not (np.isfinite(controls).all() and np.isfinite(states).all()):
@@ -351,7 +351,7 @@ def riccati(task: ControlTask) -> Riccati:
     A, B, _, Q, R = task.over_time()
     F, G, push, cross, rest, left, _ = (np.array(part) for part in zip(*task._roots, strict=True))
     transposed = np.swapaxes(F, -1, -2)
-    with np.errstate(over="ignore", invalid="ignore"):
+    with np.errstate(all="ignore"):
         b = rest[0] @ transposed[0] @ A[0] + left[0]
         first = _without_cross(Q[:1], R[:1], task._cross[:1])[2] + b.T @ b
         P = np.concatenate([first, (F @ transposed)[:-1], Q[-1:]])

@@ -191,7 +191,7 @@ def certificate(form: Form, d: Array, multiplier: float = 0.0) -> Certificate:
     M, mean, linear = form.M, form.mean, form.linear
     unit, (H, _, p) = rounding_unit(mean), mean.shape
     A, price = form.priced(multiplier), 0.0 if form.price is None else multiplier * form.price
-    with np.errstate(over="ignore", invalid="ignore"):
+    with np.errstate(all="ignore"):
         G, constant = slopes(form, d, multiplier)
         felt = felt_sizes(M, d)
         size = 2 * np.einsum("twi,ti->tw", np.abs(mean), felt.reshape(H, p)) + form.size
