@@ -15,7 +15,7 @@ import pytest
 from hypothesis import HealthCheck, settings
 
 import modelselect as ms
-from modelselect_parts import passes
+from modelselect_parts import figures, passes
 
 # Times are no verdict on a shared machine: no deadline, and slow generation is no failure.
 settings.register_profile(
@@ -47,6 +47,13 @@ if PROFILE == "mutation":
             return (yield)
         finally:
             signal.setitimer(signal.ITIMER_PROF, 0)
+
+
+@pytest.fixture
+def rough_figures(monkeypatch):
+    """Save figures without a layout and in few pixels, where all else but them is looked at."""
+    monkeypatch.setitem(figures.STYLE, "figure.constrained_layout.use", False)
+    monkeypatch.setitem(figures.STYLE, "figure.dpi", 20)
 
 
 @pytest.fixture

@@ -215,7 +215,7 @@ def test_a_seed_may_have_any_number_of_digits(place):
 
 
 @pytest.mark.parametrize("stage", ["run_experiment", "report", "write_figures", "summary"])
-def test_ctrl_c_ends_with_130_and_one_line(stage, place, monkeypatch):
+def test_ctrl_c_ends_with_130_and_one_line(stage, place, monkeypatch, rough_figures):
     def interrupt(*_, **__):
         raise KeyboardInterrupt
 

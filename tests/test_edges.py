@@ -15,6 +15,8 @@ import pytest
 import modelselect as ms
 from modelselect import INFORMATION, BlendProblem, ControlTask, SelectionProblem, psi
 
+pytestmark = pytest.mark.no_cover
+
 # ----------------------------------------------------------------------------- the table of edges
 
 

@@ -1341,6 +1341,7 @@ def test_a_spoiled_argument_is_refused_in_a_line_that_names_it(row, name, way):
         check_line(caught.value, tuple(f"{word}{end}" for word in names for end in ":."))
 
 
+@pytest.mark.no_cover
 @pytest.mark.unmutated
 @pytest.mark.parametrize("row, name, way", cases(SAMES))
 def test_other_forms_of_the_same_numbers_give_the_same_answer(row, name, way):
@@ -1369,6 +1370,7 @@ def equal(one, other):
     return all(np.array_equal(a, b, equal_nan=a.dtype.kind == "f") for a, b in pairs)
 
 
+@pytest.mark.no_cover
 @pytest.mark.parametrize("row, name", SEEDS)
 def test_a_seed_fixes_all_numbers_and_another_changes_some(row, name):
     seeds, given = (5, 5, 6), BESIDES.get(row, {})
@@ -1389,6 +1391,7 @@ OPTIONAL = {
 }
 
 
+@pytest.mark.no_cover
 @pytest.mark.parametrize("row, name", OPTIONAL)
 def test_what_is_not_given_is_what_the_signature_says(row, name):
     def outcome(*without, **given):
@@ -1474,6 +1477,7 @@ def test_a_bar_is_shown_at_a_terminal_if_it_is_asked_for(progress, monkeypatch):
 HUGE = {kind: {"1e300": first(1e300), "-1e300": first(-1e300)} for kind in ("array", "number")}
 
 
+@pytest.mark.no_cover
 @pytest.mark.parametrize("row, name, way", cases(HUGE))
 def test_a_huge_number_gives_finite_numbers_or_a_line_that_says_what_is_wrong(row, name, way):
     arg = ROWS[row][1][name]

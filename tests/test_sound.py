@@ -27,6 +27,8 @@ from perception import PerceptionSuite, Residuals
 
 from conftest import PROFILE
 
+pytestmark = pytest.mark.no_cover
+
 EPS = Fraction(1, 2**52)
 GAP = Fraction(1, 10**9)
 

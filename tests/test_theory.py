@@ -17,6 +17,8 @@ from modelselect import BlendProblem, ControlTask, SelectionProblem
 
 from strategies import SEEDS, every_schedule, gram, problems, sign_patterns, tasks
 
+pytestmark = pytest.mark.no_cover
+
 # Sums of a few dozen products: exact up to this fraction of the norms that they multiply.
 ROUNDING = 1e-11
 INTEGERS = st.lists(st.integers(1, 40), min_size=1, max_size=9)
