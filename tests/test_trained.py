@@ -412,7 +412,7 @@ def test_what_is_learned_is_what_training_makes_of_the_first_stream_of_the_seed(
     assert re.fullmatch(r"models-[0-9a-f]{16}\.npz", file.name)
 
 
-def test_the_command_line_runs_it_all(tiny, tmp_path, capsys):
+def test_the_command_line_runs_it_all(tiny, tmp_path, capsys, rough_figures):
     small = ["--trials", "4", "--horizon", "30"]
     argv = ["--experiment", "trained", *small, "--out", str(tmp_path / "out")]
     assert landing.main([*argv, "--json", str(tmp_path / "a.json")]) == 0
