@@ -11,8 +11,6 @@ import pytest
 
 import modelselect as ms
 
-pytestmark = pytest.mark.no_cover
-
 PATTERNS = ("open_loop", "preview")
 both_patterns = pytest.mark.parametrize("information", PATTERNS)
 

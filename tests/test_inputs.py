@@ -1477,7 +1477,6 @@ def test_a_bar_is_shown_at_a_terminal_if_it_is_asked_for(progress, monkeypatch):
 HUGE = {kind: {"1e300": first(1e300), "-1e300": first(-1e300)} for kind in ("array", "number")}
 
 
-@pytest.mark.no_cover
 @pytest.mark.parametrize("row, name, way", cases(HUGE))
 def test_a_huge_number_gives_finite_numbers_or_a_line_that_says_what_is_wrong(row, name, way):
     arg = ROWS[row][1][name]

@@ -80,7 +80,6 @@ def test_counted_costs_by_hand(trained):
     assert landing.model_cost(trained.networks, "counted") == pytest.approx(expected, rel=1e-14)
 
 
-@pytest.mark.no_cover
 def test_milliseconds_stay_what_they_are_under_every_pattern(trained, few_sizes):
     limits = {"switch_cost": 2.5, "budget": HORIZON * 18.4 - 1}
     chosen = {"trials": 3, "cost": "latency", "horizon": HORIZON}
