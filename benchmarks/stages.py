@@ -45,7 +45,7 @@ RIVALS = ("Best Single", "Greedy")
 def flown(seed: int, trials: int, quick: bool = False) -> list[dict[str, Any]]:
     """Train the networks of a seed, and fly what is best at every stage: a row for each."""
     trained = landing.learn(seed, **TINY if quick else {})
-    steps = 20 if quick else 150
+    steps = 8 if quick else 150
     base = Settings("trained", horizon=steps, seed=seed, **landing.DEFAULTS["trained"])
     price: dict[str, float] = {}  # that of the kernel's suite, at all stages of a pattern
     rows = []

@@ -7,6 +7,7 @@ mutation  few examples, the same ones every time: each of the many mutants gets 
 
 import os
 import signal
+import sys
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before NumPy: see the Makefile
 os.environ.setdefault("MPLBACKEND", "Agg")  # figures are drawn without a screen
@@ -15,7 +16,7 @@ import pytest
 from hypothesis import HealthCheck, settings
 
 import modelselect as ms
-from modelselect_parts import passes
+from modelselect_parts import figures, passes
 
 # Times are no verdict on a shared machine: no deadline, and slow generation is no failure.
 settings.register_profile(
@@ -47,6 +48,26 @@ if PROFILE == "mutation":
             return (yield)
         finally:
             signal.setitimer(signal.ITIMER_PROF, 0)
+
+else:
+
+    @pytest.hookimpl(wrapper=True, trylast=True)  # inside what pytest-cov does
+    def pytest_runtest_call(item):
+        """Trace nothing under the mark no_cover: in a worker of xdist, pytest-cov traces on."""
+        tracer = sys.gettrace()
+        if item.get_closest_marker("no_cover"):
+            sys.settrace(None)
+        try:
+            return (yield)
+        finally:
+            sys.settrace(tracer)
+
+
+@pytest.fixture
+def rough_figures(monkeypatch):
+    """Save figures without a layout and in few pixels, where all else but them is looked at."""
+    monkeypatch.setitem(figures.STYLE, "figure.constrained_layout.use", False)
+    monkeypatch.setitem(figures.STYLE, "figure.dpi", 20)
 
 
 @pytest.fixture

@@ -10,6 +10,8 @@ import pytest
 
 from modelselect import correlated_cost, enumerate_schedules
 
+pytestmark = pytest.mark.no_cover
+
 FOLDER = Path(__file__).resolve().parents[1] / "benchmarks"
 KINDS = ["switching", "budget", "both"]
 

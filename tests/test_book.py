@@ -10,6 +10,7 @@ import json
 import re
 import shutil
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +18,7 @@ import pytest
 
 from modelselect import pareto_front, solve
 
-pytestmark = pytest.mark.unmutated
+pytestmark = [pytest.mark.unmutated, pytest.mark.no_cover]
 NOTEBOOKS = Path(__file__).resolve().parents[1] / "notebooks"
 PROGRAMS = ("chromium", "chromium-browser", "google-chrome"), ("chromedriver",)
 
@@ -56,17 +57,17 @@ def browser(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def pages(tool):
-    """Make the book from the committed notebooks."""
+    """Return what makes the book from the committed notebooks, once it is asked for."""
     for needed in ("jupytext", "latex2mathml", "nbclient", "nbconvert"):
         pytest.importorskip(needed)
-    return tool("build").pages()
+    return cache(tool("build").pages)
 
 
 @pytest.fixture(scope="module")
 def book(browser, pages, tmp_path_factory):
     """Write the book into a folder."""
     folder = tmp_path_factory.mktemp("book")
-    for file, html in pages.items():
+    for file, html in pages().items():
         (folder / file).write_text(html, encoding="utf-8")
     return folder
 
@@ -104,8 +105,8 @@ def dead_links(pages: dict[str, str]) -> list[str]:
 
 
 def test_no_page_loads_anything_and_each_link_leads_somewhere(pages):
-    assert not {file: found for file, html in pages.items() if (found := loads(html))}
-    assert not dead_links(pages)
+    assert not {file: found for file, html in pages().items() if (found := loads(html))}
+    assert not dead_links(pages())
 
 
 def raw_markup(html: str) -> list[str]:
@@ -117,7 +118,7 @@ def raw_markup(html: str) -> list[str]:
 
 
 def test_every_formula_is_drawn(pages):
-    assert not {file: found for file, html in pages.items() if (found := raw_markup(html))}
+    assert not {file: found for file, html in pages().items() if (found := raw_markup(html))}
     assert raw_markup("<p>$a</p><ul><li>b$</li></ul>")  # cut in two by a line that opens a list
 
 

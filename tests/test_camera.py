@@ -388,6 +388,7 @@ def test_folding_is_the_transpose_of_cutting():
     assert (cut * d).sum() == pytest.approx((x * networks.add_windows(d, 4, x.shape)).sum())
 
 
+@pytest.mark.no_cover
 def test_the_last_layer_alone_learns_like_least_squares():
     """On features that stay as they are, many small steps reach the solution of lstsq."""
     rng = generator(5)

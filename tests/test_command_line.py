@@ -215,7 +215,7 @@ def test_a_seed_may_have_any_number_of_digits(place):
 
 
 @pytest.mark.parametrize("stage", ["run_experiment", "report", "write_figures", "summary"])
-def test_ctrl_c_ends_with_130_and_one_line(stage, place, monkeypatch):
+def test_ctrl_c_ends_with_130_and_one_line(stage, place, monkeypatch, rough_figures):
     def interrupt(*_, **__):
         raise KeyboardInterrupt
 
@@ -246,11 +246,16 @@ def test_ctrl_c_while_writing_leaves_the_old_file(place, monkeypatch):
 @pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
 def test_ctrl_c_in_a_shell(tmp_path):
     argv = ["--horizon", "4", "--trials", "100000", "--json", "new/r.json"]  # minutes
+    heard = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)"
     script = f"import sys, landing; print('begins', flush=True); sys.exit(landing.main({argv}))"
     root, pipe = str(Path(landing.__file__).parent), subprocess.PIPE
     environment = os.environ | {"PYTHONPATH": root}
     with subprocess.Popen(
-        [sys.executable, "-c", script], cwd=tmp_path, env=environment, stdout=pipe, stderr=pipe
+        [sys.executable, "-c", f"{heard}; {script}"],  # a job in the background is deaf to it
+        cwd=tmp_path,
+        env=environment,
+        stdout=pipe,
+        stderr=pipe,
     ) as child:
         child.stdout.readline()
         time.sleep(0.5)

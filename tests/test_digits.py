@@ -16,6 +16,8 @@ from modelselect import ControlTask, psi
 from conftest import PROFILE
 from strategies import at, weight
 
+pytestmark = pytest.mark.no_cover
+
 PATTERNS = ("open_loop", "preview", "causal", "measurement")
 DIGITS = 60
 

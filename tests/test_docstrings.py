@@ -19,6 +19,8 @@ from modelselect_parts import checks
 
 from strategies import belongs
 
+pytestmark = pytest.mark.no_cover
+
 docscrape = pytest.importorskip("numpydoc.docscrape")
 
 MODULES = (ms, perception, landing)

@@ -181,6 +181,7 @@ def slack(edge):
 # ------------------------------------------------------------------------- every solver, every edge
 
 
+@pytest.mark.no_cover
 @edges
 @pytest.mark.parametrize("solver", EXACT)
 def test_an_exact_solver_finds_and_proves_the_optimum(solver, edge):
@@ -202,6 +203,7 @@ def test_enumeration_finds_the_very_best_where_doubles_tell_them_apart(edge):
     assert found <= next((x for x in totals if x > totals[0] + clear), totals[-1])
 
 
+@pytest.mark.no_cover
 @edges
 @pytest.mark.parametrize("relaxed", [ms.relax, ms.relax_interior_point])
 def test_a_relaxation_brackets_its_optimum_below_that_of_schedules(relaxed, edge):
@@ -254,6 +256,7 @@ def test_a_blend_is_proved_best_among_corners_and_points_between(edge):
     np.testing.assert_allclose(values[: len(corners)], exact, rtol=1e-9, atol=scale)
 
 
+@pytest.mark.no_cover
 @edges
 def test_costs_scale_with_the_problem(edge):
     """Powers of two change no digit of Psi, and so none of the answer."""
@@ -381,6 +384,7 @@ def extended_psi(task, information):
     return Psi
 
 
+@pytest.mark.no_cover
 @pytest.mark.parametrize("information", INFORMATION)
 @pytest.mark.parametrize("reach", [True, False])
 @pytest.mark.parametrize("growth", [1.05, 1.5, 3, 30])

@@ -1341,6 +1341,7 @@ def test_a_spoiled_argument_is_refused_in_a_line_that_names_it(row, name, way):
         check_line(caught.value, tuple(f"{word}{end}" for word in names for end in ":."))
 
 
+@pytest.mark.no_cover
 @pytest.mark.unmutated
 @pytest.mark.parametrize("row, name, way", cases(SAMES))
 def test_other_forms_of_the_same_numbers_give_the_same_answer(row, name, way):
@@ -1369,6 +1370,7 @@ def equal(one, other):
     return all(np.array_equal(a, b, equal_nan=a.dtype.kind == "f") for a, b in pairs)
 
 
+@pytest.mark.no_cover
 @pytest.mark.parametrize("row, name", SEEDS)
 def test_a_seed_fixes_all_numbers_and_another_changes_some(row, name):
     seeds, given = (5, 5, 6), BESIDES.get(row, {})
@@ -1389,6 +1391,7 @@ OPTIONAL = {
 }
 
 
+@pytest.mark.no_cover
 @pytest.mark.parametrize("row, name", OPTIONAL)
 def test_what_is_not_given_is_what_the_signature_says(row, name):
     def outcome(*without, **given):

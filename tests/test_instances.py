@@ -7,6 +7,8 @@ import pytest
 
 import modelselect as ms
 
+pytestmark = pytest.mark.no_cover
+
 FOLDER = Path(__file__).resolve().parents[1] / "benchmarks" / "instances"
 FILES = sorted(FOLDER.glob("*.npz"))
 

@@ -208,6 +208,7 @@ def test_a_matrix_is_searched_by_segments_too(seed):
         assert found.cost <= best + slack
 
 
+@pytest.mark.no_cover
 @given(SEEDS, st.booleans(), st.sampled_from([(1, 2), (2, 2), (1, 3), None]))
 def test_no_bound_of_segments_exceeds_what_a_schedule_adds(seed, as_system, lengths):
     """In exact arithmetic on the rows that the search sums: dolls (None), segments."""

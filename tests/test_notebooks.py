@@ -19,6 +19,8 @@ import modelselect
 import perception
 from modelselect_parts.regulator import PATTERNS
 
+pytestmark = pytest.mark.no_cover
+
 ROOT = Path(__file__).resolve().parents[1]
 NOTEBOOKS = ROOT / "notebooks"
 README = (ROOT / "README.md").read_text(encoding="utf-8")

@@ -17,6 +17,8 @@ import perception
 
 from strategies import belongs
 
+pytestmark = pytest.mark.no_cover
+
 #: file, and below it: public names | test | what the oracle is
 ORACLES = """
 tests/test_control.py

@@ -21,6 +21,8 @@ from modelselect import BlendProblem, ControlTask, SelectionProblem
 
 from strategies import dense_plan, every_schedule, plain_cost, plain_states, sign_patterns
 
+pytestmark = pytest.mark.no_cover
+
 ROOT = Path(__file__).resolve().parents[1]
 PAGE = ROOT / "notebooks" / "paper.md"
 PAPER = ROOT.parent / "shared" / "paper" / "dynamic_selection.tex"

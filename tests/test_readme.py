@@ -11,6 +11,8 @@ import landing
 from modelselect_parts.flights import estimate
 from modelselect_parts.tables import table_of_front
 
+pytestmark = pytest.mark.no_cover
+
 ROOT = Path(__file__).resolve().parents[1]
 README, MEASURED = (
     (ROOT / page).read_text(encoding="utf-8") for page in ("README.md", "benchmarks/README.md")

@@ -8,6 +8,8 @@ import pytest
 
 from landing import Settings, run_experiment, summary
 
+pytestmark = pytest.mark.no_cover
+
 # (preset, information): lower bound of the optimum, control costs of Oracle, Optimal and Random
 MEMORY = {
     (

@@ -121,6 +121,7 @@ def test_projected_gradient_meets_bounded_least_squares(seed, k):
     assert curved * ((found - expected.x) ** 2).sum() <= 4e-12 * expected.cost + 1e-13
 
 
+@pytest.mark.no_cover
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("p", [1, 2])
 @pytest.mark.parametrize("some", [False, True])
@@ -394,6 +395,7 @@ def landing_problem(information, signs, seed=0, H=150):
     return landing(task, suite, information, upsilon=0.8 * small / (7 * H))
 
 
+@pytest.mark.no_cover
 @pytest.mark.parametrize("signs", ["same", "model", "step"])
 @pytest.mark.parametrize("information", ["open_loop", "preview"])
 def test_every_family_is_proved_at_full_scale(information, signs):
@@ -534,6 +536,7 @@ def test_shifting_every_price_shifts_the_total(problem, shift):
     assert abs(ms.solve(shifted).cost - ms.solve(problem).cost - moved) <= tolerance
 
 
+@pytest.mark.no_cover
 @pytest.mark.unmutated
 @settings(max_examples=5)
 @given(st.integers(0, 10**6))

@@ -518,6 +518,7 @@ def verdicts(family, solver):
 # ----------------------------------------------------------------- every solver on every family
 
 
+@pytest.mark.no_cover
 @every_family
 @every_solver
 def test_what_a_solver_claims_is_true_in_exact_arithmetic(solver, family):
@@ -705,6 +706,7 @@ def test_an_optimum_of_zero_is_proved(name):
 PATIENCE = {"time_limit": None if PROFILE == "ci" else 1.0}
 
 
+@pytest.mark.no_cover
 @pytest.mark.parametrize("K", [0.0, 30.0, 900.0])
 @pytest.mark.parametrize("n, delta", [(1, 2.5e-9), (6, 1e-10), (11, 4.9e-11), (30, 2e-11)])
 def test_what_many_merges_and_truncations_lose_together_is_subtracted(n, delta, K):

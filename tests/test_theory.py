@@ -534,6 +534,7 @@ def test_a_single_one_costs_the_gain_itself_and_has_no_halves(information):
     assert schedule.cost == pytest.approx(1 / 2, rel=1e-15) and not halves([1])
 
 
+@pytest.mark.no_cover
 @FORECASTS
 @pytest.mark.parametrize("H, top", [(20, 60), (40, 30), (60, 9), (60, 30)])
 @pytest.mark.parametrize("odd", [False, True])
