@@ -57,7 +57,7 @@ class Pairs(NamedTuple):
         i, j, due = i[hope], j[hope], due[hope]
         rho2 = _apart(self.near, i, j)
         well = self._within(i, j, rho2, due)
-        if self.far:  # rho^2 is not known where it matters
+        if len(self.near) < len(self.y):  # rho^2 is not known where it matters
             close = np.flatnonzero(well & ~self._within(i, j, rho2 + self.far, due))
             well[close] = self.never_worse(i[close], j[close], due[close])
         passed[hope] = well
@@ -86,18 +86,36 @@ def undominated(
     """
     paid = extra if spent is None else extra - multiplier * spent
     alive = np.arange(len(extra)) if spent is None else np.argsort(spent, kind="stable")
-    rank = None if spent is None else _ranks(paid)
-    largest = float(room.max(initial=0))
-    many = state is not None and len(extra) >= MANY
+    if len(alive) > FEW:
+        rank = None if spent is None else _ranks(paid)
+        alive = _of_cells(paid, y, room, merge, expired, state, detour, rank, alive)
+    if 1 < len(alive) <= FEW and not expired():
+        here = None if state is None else state[alive]
+        alive = alive[_of_all_pairs(paid[alive], y[:, alive], room[alive], merge, here, detour)]
+    kept = np.zeros(len(extra), dtype=bool)
+    kept[alive] = True
+    return kept
+
+
+def _of_cells(
+    paid: Array,
+    y: Array,
+    room: Array,
+    merge: float,
+    expired: Callable[[], bool],
+    state: Choices | None,
+    detour: Array | None,
+    rank: Choices | None,
+    alive: Choices,
+) -> Choices:
+    """Return which labels the cheapest of their cells leave, of grid after grid."""
+    largest, many = float(room.max()), state is not None and len(paid) >= MANY
     near, spread, far = _telling(y, TELLING * largest)
     pairs = Pairs(paid, room, y, near, far)
     powers = np.cumprod(np.full(len(near) + 1, ODD, dtype=np.uint64))
     fruitful = [True] if detour is None or not many else [True, True]
     for halvings in GRIDS if merge >= 0 else GRIDS[:-1]:  # no margin is between equal labels
-        if len(alive) < 2 or largest == 0 or expired():
-            break
-        if len(alive) <= FEW:
-            alive = alive[_of_all_pairs(pairs, alive, merge, state, detour)]
+        if len(alive) <= FEW or largest == 0 or expired():
             break
         if not (any(fruitful) or halvings == GRIDS[-1]):
             continue
@@ -123,24 +141,22 @@ def undominated(
             stays = np.ones(len(alive), dtype=bool)
             stays[gone] = False
             alive, cell = alive[stays], cell[stays]
-    kept = np.zeros(len(extra), dtype=bool)
-    kept[alive] = True
-    return kept
+    return alive
 
 
 def _of_all_pairs(
-    pairs: Pairs, alive: Choices, merge: float, state: Choices | None, detour: Array | None
+    paid: Array, y: Array, room: Array, merge: float, state: Choices | None, detour: Array | None
 ) -> Mask:
     """Mark which of a few labels stay: a label goes if one before it that stays is never worse."""
-    y, paid, due = pairs.y[:, alive], pairs.paid[alive], pairs.paid[alive] + merge
+    due = paid + merge
     if state is not None:
-        i, j = state[alive][:, None], state[alive]
+        i, j = state[:, None], state
         due = np.where(i == j, due, -np.inf) if detour is None else due - detour[i, j]
-    rho2 = np.zeros((len(alive), len(alive)))
-    for coordinate in y:
-        rho2 += np.subtract.outer(coordinate, coordinate) ** 2
-    better = np.triu(paid[:, None] + 2 * np.sqrt(rho2) * pairs.room[alive] + rho2 <= due, 1)
-    stays = np.zeros(len(alive), dtype=bool)
+    apart = y[:, :, None] - y[:, None]
+    apart *= apart
+    rho2 = apart.sum(axis=0)
+    better = np.triu(paid[:, None] + 2 * np.sqrt(rho2) * room + rho2 <= due, 1)
+    stays = np.zeros(len(paid), dtype=bool)
     asked = ~stays
     while asked.any():
         stays |= asked & ~better[asked].any(axis=0)

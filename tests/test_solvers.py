@@ -15,7 +15,7 @@ from scipy.optimize import lsq_linear
 
 import modelselect as ms
 from modelselect import SelectionProblem
-from modelselect_parts import dominance, trellis
+from modelselect_parts import dominance, passes, trellis
 from modelselect_parts import triangle as triangle_part
 from modelselect_parts.semidefinite import cholesky_solver
 from perception import published_suite, textbook_suite
@@ -654,23 +654,28 @@ def test_a_time_limit_returns_the_best_so_far_with_a_true_bound():
 
 
 def test_what_a_long_pass_would_take_most_of_goes_to_branch_and_bound(monkeypatch):
-    """It finds what passes that a limit cuts off do not; here a second counts as forty."""
+    """It finds what passes that a limit cuts off do not; here 64 labels a step take a second."""
     problem = known_suite(0, H=60, W=8, p=2, rank=8)
     problem = replace(problem, variance=0 * problem.variance, model_cost=np.arange(8.0))
-    clock, given, real = ms.perf_counter, [], ms.branch_and_bound
+    now, given, real, step = [0.0], [], ms.branch_and_bound, passes.Search.step
+
+    def timed(search, width):
+        now[0] += width / 64
+        return step(search, width)
 
     def watched(problem, *, time_limit, **options):
         given.append(time_limit)
-        return real(problem, time_limit=time_limit, **options)
+        return real(problem, max_nodes=1, **options)
 
-    monkeypatch.setattr(ms, "perf_counter", lambda: 40 * clock())
+    monkeypatch.setattr(ms, "perf_counter", lambda: now[0])
+    monkeypatch.setattr(passes.Search, "step", timed)
     monkeypatch.setattr(ms, "branch_and_bound", watched)
     schedule = ms.solve(problem, time_limit=80)
-    assert given[0] > 20  # of 80; yesterday the passes took all
+    assert given == [80 - 1 - 8]  # the next pass would take 64
     ms.check_certificate(problem, schedule)
     given.clear()
-    ms.dynamic_program(problem, time_limit=20)  # alone, it shares with nobody
-    assert not given
+    ms.dynamic_program(problem, time_limit=80)  # alone, it shares with nobody
+    assert not given and now[0] > 80
 
 
 def test_passes_that_have_closed_much_of_the_gap_go_on_however_long_they_take(
