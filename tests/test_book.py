@@ -55,6 +55,13 @@ def browser(tmp_path_factory):
     driver.quit()
 
 
+def visit(browser, path):
+    """Open a page, and wait until all of it is there, which a driver under load does not."""
+    browser.get(path.as_uri())
+    waits = importlib.import_module("selenium.webdriver.support.ui").WebDriverWait(browser, 60)
+    waits.until(lambda page: page.execute_script("return document.readyState") == "complete")
+
+
 @pytest.fixture(scope="module")
 def pages(tool):
     """Return what makes the book from the committed notebooks, once it is asked for."""
@@ -151,7 +158,7 @@ def complaints(browser, path: Path) -> list[str]:
     """Open a page; return what its console says and what it asks a network for."""
     for kind in ("browser", "performance"):
         browser.get_log(kind)
-    browser.get(path.as_uri())
+    visit(browser, path)
     said = [f"{entry['level']}: {entry['message']}" for entry in browser.get_log("browser")]
     events = (json.loads(entry["message"])["message"] for entry in browser.get_log("performance"))
     sent = [e["params"]["request"]["url"] for e in events if e["method"].endswith("BeSent")]
@@ -184,7 +191,7 @@ def test_an_error_and_a_fetch_would_be_found(browser, tmp_path, html):
 
 @pytest.fixture
 def play(browser, book):
-    browser.get((book / "play.html").as_uri())
+    visit(browser, book / "play.html")
     return browser
 
 
@@ -331,7 +338,7 @@ def test_on_paper_and_without_scripts_a_table_has_all(browser, book, way):
     browser.execute_cdp_cmd(scripts, {"value": way == "no scripts"})
     browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": "print" * (way == "paper")})
     try:
-        browser.get((book / "play.html").as_uri())
+        visit(browser, book / "play.html")
         assert not browser.find_element("id", "weights-0").is_displayed()
         for key, rows in (("weights", 16), ("errors", 11), ("switching", 13), ("budget", 73)):
             table = browser.find_element("id", f"{key}-all")
@@ -350,7 +357,7 @@ def test_every_figure_is_a_slide_that_arrow_keys_reach(browser, book, tool):
     build = tool("build")
     cells = [cell for name in build.names() for cell in build.read_committed(name).cells]
     alts = [cell.metadata.alt for cell in cells if build.pictures(cell)]
-    browser.get((book / "slides.html").as_uri())
+    visit(browser, book / "slides.html")
     slides = browser.find_elements("class name", "slide")
     images = [slide.find_element("tag name", "img") for slide in slides]
     assert [image.get_attribute("alt") for image in images] == alts
