@@ -586,7 +586,7 @@ def _searched(
 ) -> Schedule:
     """Search pass by pass from a first schedule and its certificate (passes.py).
 
-    The narrowest passes may be `skipped`, where the first schedule is what they found.  A solver
+    Narrow passes may be `skipped`: a wide one with room for all labels takes no longer.  A solver
     with which time is `shared` has what a longer pass would take most of, if passes closed little.
     """
     started, closed, seconds = perf_counter(), closes(gap, 0.0), 0.0

@@ -133,7 +133,7 @@ def check_choices(choices: npt.ArrayLike, H: int | None, W: int) -> Choices:
         and choices.shape[-1:] == (H,)
         and 0 <= choices.min() <= choices.max() < W
     ):
-        return choices.copy()  # nearly all: solvers ask time and again
+        return choices.copy()  # as solvers have them, which ask time and again
     c = check_array("choices", choices, "... H", (H,))
     bad = (c != np.floor(c)) | (c < 0) | (c >= W)
     if bad.any():

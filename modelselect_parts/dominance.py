@@ -108,19 +108,23 @@ def _of_cells(
     rank: Choices | None,
     alive: Choices,
 ) -> Choices:
-    """Return which labels the cheapest of their cells leave, of grid after grid."""
+    """Return which labels are left when those of a cell were tested against its cheapest.
+
+    Grid after grid, until few are left.  Where spending is limited `alive` is in its order, and
+    labels have a `rank` by what they have paid.
+    """
     largest, many = float(room.max()), state is not None and len(paid) >= MANY
     near, spread, far = _telling(y, TELLING * largest)
     pairs = Pairs(paid, room, y, near, far)
     powers = np.cumprod(np.full(len(near) + 1, ODD, dtype=np.uint64))
     fruitful = [True] if detour is None or not many else [True, True]
-    for halvings in GRIDS if merge >= 0 else GRIDS[:-1]:  # no margin is between equal labels
+    for halvings in GRIDS if merge >= 0 else GRIDS[:-1]:  # equal labels do not differ by a margin
         if len(alive) <= FEW or largest == 0 or expired():
             break
         if not (any(fruitful) or halvings == GRIDS[-1]):
             continue
         side = largest / 2**halvings
-        k = np.count_nonzero(spread > side)  # all labels are within a cell, in the others
+        k = np.count_nonzero(spread > side)  # others would part labels that are near
         corner = np.floor(near[:k].take(alive, axis=1) / side + 0.618 * halvings)
         cell = powers[:k] @ corner.astype(np.int64).view(np.uint64)  # grids share no borders
         for across in range(len(fruitful)):
