@@ -115,11 +115,7 @@ from modelselect_parts.held import expand_choices, hold
 from modelselect_parts.interior_point import congruence, interior_point
 from modelselect_parts.matrices import check_semidefinite, nearest_semidefinite
 from modelselect_parts.observers import kalman_gains
-from modelselect_parts.problem import (
-    EXACT_BELOW,
-    SelectionProblem,
-    stepwise_cost,
-)
+from modelselect_parts.problem import EXACT_BELOW, SelectionProblem, stepwise_cost
 from modelselect_parts.regulator import (
     PATTERNS,
     ControlTask,
@@ -245,10 +241,18 @@ def _certified(
     return Schedule(choices, cost, min(cost, lower), root, d, solver, work, multiplier)
 
 
+def _proved(
+    problem: SelectionProblem, first: Schedule, choices: Choices, proved: float, **found: Any
+) -> Schedule:
+    """Return what a search from a first schedule found, on the certificate of that one."""
+    cost, rounding = problem._accurate_cost(choices)
+    lower = min(cost, max(first.lower_bound, min(proved, cost - rounding)))
+    return replace(first, choices=choices, cost=cost, lower_bound=lower, **found)
+
+
 def _at(problem: SelectionProblem, choices: Choices) -> Relaxation:
     """Return the point of the relaxation that a schedule is itself."""
-    cost = float(problem.total_cost(choices))
-    b = one_hot(choices, problem.mean.shape[1])
+    cost, b = float(problem.total_cost(choices)), one_hot(choices, problem.mean.shape[1])
     return Relaxation(b, problem.chosen_mean(choices), cost, -math.inf, 0)
 
 
@@ -320,8 +324,10 @@ def solve_separable(problem: SelectionProblem) -> Schedule:
 # ------------------------------------------------------------------- solvers: the relaxation
 
 
-def _own_weights(problem: SelectionProblem, relaxation: Relaxation) -> Relaxation:
+def _own_weights(problem: SelectionProblem, relaxation: Relaxation | None) -> Relaxation | None:
     """Evaluate a relaxation that was handed over anew, as another problem's proves nothing."""
+    if relaxation is None:
+        return None
     check_class("relaxation", relaxation, "Relaxation")
     b = check_array("relaxation.weights", relaxation.weights, "H W", problem.mean.shape[:2])
     off = np.abs(b.sum(axis=1) - 1).max()
@@ -464,16 +470,16 @@ def round_and_swap(
     t by D = mu[t,w] - mu[t,w_t] and the cost by 2 D'(alpha Psi mu_c)_t + D'(alpha Psi_tt)D
     + l[t,w] - l[t,w_t]; the best swap is taken, until `time_limit` seconds are over.
     """
-    return _start(problem, relaxation, _stopwatch(problem, time_limit))
+    time_left = _stopwatch(problem, time_limit)
+    return _start(problem, _own_weights(problem, relaxation), time_left)
 
 
 def _start(
-    problem: SelectionProblem, relaxation: Relaxation | None, time_left: Callable[[], float]
+    problem: SelectionProblem, point: Relaxation | None, time_left: Callable[[], float]
 ) -> Schedule:
     """Relax, unless that is done, round and swap: what exact searches start from."""
-    if relaxation is None:
-        relaxation = _relax(problem, np.isfinite(problem.linear), 1e-7, math.inf, time_left)
-    point = _own_weights(problem, relaxation)
+    if point is None:
+        point = _relax(problem, np.isfinite(problem.linear), 1e-7, math.inf, time_left)
     starts, form = [point.weights.argmax(axis=1)], problem.form
     if not form.bare:  # swaps are weak beside arcs
         lam = point.multiplier
@@ -481,20 +487,20 @@ def _start(
         starts.append(trellis.cheapest_path(*priced))
     if form.price is not None:  # which rounding may exceed
         starts.append(trellis.cheapest_path(problem._price, problem.switch_cost))
-    swapped = [*(_swap(problem, c, time_left) for c in starts), (starts[-1], 0)]
+    swapped = [_swap(problem, starts, time_left), (starts[-1], 0)]
     choices, swaps = min(swapped, key=lambda pair: _feasible_cost(problem, pair[0]))
     return _certified(problem, choices, point, "round_and_swap", swaps=swaps)
 
 
 def _swap(
-    problem: SelectionProblem, choices: Choices, time_left: Callable[[], float], trials: int = 0
+    problem: SelectionProblem, starts: list[Choices], time_left: Callable[[], float], tries: int = 0
 ) -> tuple[Choices, int]:
-    """Improve a schedule by more than rounding; count the changes of the first descent."""
-    noise = max(problem.rounding, float(problem.cost_rounding(choices)))
+    """Improve the best of these schedules by more than rounding; count the first descent."""
     if not isinstance(problem.form.M, np.ndarray):  # a product takes as long as a pass
-        return choices, 0
-    choices, changes = local_search.descend(problem.form, choices, noise, time_left)
-    return local_search.perturbed(problem.form, choices, trials, noise, time_left), changes
+        return starts[0], 0
+    noise = max(problem.rounding, *(float(problem.cost_rounding(c)) for c in starts))
+    choices, changes = local_search.descend(problem.form, starts, noise, time_left)
+    return local_search.perturbed(problem.form, choices, tries, noise, time_left), changes
 
 
 # ----------------------------------------------------- solvers: dynamic programming on labels
@@ -541,13 +547,7 @@ def plain_dynamic_program(problem: SelectionProblem, *, max_labels: int = 2**18)
         proved = min(proved, found.base + triangle.constant + excess - lost)
         if problem.is_feasible(choices):
             best = np.array(choices)
-    return _certified(problem, best, _point(first), "plain_dynamic_program", proved, **work)
-
-
-def _point(schedule: Schedule) -> Relaxation:
-    """Return the certificate's point of a schedule."""
-    empty = np.zeros((0, 0))
-    return Relaxation(empty, schedule.reference, math.inf, 0.0, 0, schedule.multiplier)
+    return _proved(problem, first, best, proved, solver="plain_dynamic_program", work=work)
 
 
 def dynamic_program(
@@ -572,7 +572,8 @@ def dynamic_program(
     """
     max_labels = check_count("max_labels", max_labels, minimum=WIDTHS[0])
     gap, time_left = check_number("gap", gap, minimum=0), _stopwatch(problem, time_limit)
-    return _searched(problem, _start(problem, relaxation, time_left), gap, max_labels, time_left)
+    first = _start(problem, _own_weights(problem, relaxation), time_left)
+    return _searched(problem, first, gap, max_labels, time_left)
 
 
 def _searched(
@@ -592,7 +593,7 @@ def _searched(
     started, closed, seconds = perf_counter(), closes(gap, 0.0), 0.0
 
     def improve(choices: Choices) -> tuple[Choices, float]:
-        better, _ = _swap(problem, choices, time_left)
+        better, _ = _swap(problem, [choices], time_left)
         return better, _feasible_cost(problem, better)
 
     known = (first.reference, first.multiplier), first.choices, first.cost, first.root_bound
@@ -614,8 +615,8 @@ def _searched(
             break  # again only with less to give away, or with room for more
     work = {"labels": search.labels, "passes": search.passes, "complete": search.complete}
     work["seconds"] = perf_counter() - started
-    best, point, proved = search.choices, _point(first), search.proved
-    return _certified(problem, best, point, "dynamic_program", proved, **work)
+    best, proved = search.choices, search.proved
+    return _proved(problem, first, best, proved, solver="dynamic_program", work=work)
 
 
 def _price_the_budget(
@@ -645,7 +646,7 @@ def _price_the_budget(
     lower, size = found.lower_bound, (problem.beta + lam) * most + lam * abs(limit)
     bound = float(lower - lam * limit - 8 * trellis.EPS * (size + abs(lower)))
     if toll is not None:
-        search.offer(_swap(problem, search.choices, time_left, PERTURBATIONS)[0])
+        search.offer(_swap(problem, [search.choices], time_left, PERTURBATIONS)[0])
     search.move((found.reference, lam), bound)
 
 
@@ -698,9 +699,8 @@ def branch_and_bound(
     most = math.inf if max_nodes is None else check_count("max_nodes", max_nodes)
     gap = check_number("gap", gap, minimum=0)
     allowed = np.isfinite(problem.linear)
-    if relaxation is None:
-        relaxation = _relax(problem, allowed, gap / 10, math.inf, time_left)
     root = _own_weights(problem, relaxation)
+    root = root or _relax(problem, allowed, gap / 10, math.inf, time_left)
     first = _start(problem, root, time_left)
     best, cost, settled = first.choices, first.cost, math.inf
     tree = [Node(-1, -1, -1, first.root_bound, perf_counter() - started, cost)]
@@ -728,12 +728,12 @@ def branch_and_bound(
                     settled = min(settled, alone - rounding)
             elif bound < cost:
                 heapq.heappush(queue, (bound, len(tree) - 1, child, undecided))
-            candidate, _ = _swap(problem, rounded, time_left)
+            candidate, _ = _swap(problem, [rounded], time_left)
             if (lower_cost := _feasible_cost(problem, candidate)) < cost:
                 best, cost = candidate, lower_cost
     lower = min([settled, cost, *(node[0] for node in queue[:1])])
     work = {"nodes": len(tree), "tree": tree, "seconds": perf_counter() - started}
-    return _certified(problem, best, _point(first), "branch_and_bound", lower, **work)
+    return _proved(problem, first, best, lower, solver="branch_and_bound", work=work)
 
 
 def _narrowed(

@@ -56,7 +56,8 @@ def columns(
     least = cheapest_path(spend, arc)
     if path_sum(price, toll, least) > form.limit:
         return None
-    kept, best, value, bound, k = least[None], None, math.inf, -math.inf, 0
+    alone = np.repeat(np.flatnonzero(usable.all(axis=0)), H).reshape(-1, H)  # a model throughout
+    kept, best, value, bound, k = np.vstack([least, alone]), None, math.inf, -math.inf, 0
     dearest = 1.0 + H * (np.abs(price).max() + (0 if toll is None else toll.max()))
     for k in range(1, max_iterations + 1):
         mu = mean[steps, kept].reshape(len(kept), -1)

@@ -168,20 +168,18 @@ def _of_all_pairs(
     return stays
 
 
-def detours(moves: Array, t: int) -> Array | None:
-    """Return what the same steps before t cost state a more than state b at most, [a, b].
+def detours(moves: Array) -> Array | None:
+    """Return what the steps before t cost state a more than state b at most, [t, a, b].
 
     The greatest moves[t-1, a, v] - moves[t-1, b, v] of all models v before; nothing before step 0.
     """
     states = moves.shape[1]
     if states == 1:
         return None
-    if t == 0:
-        return np.zeros((states, states))
-    from_a, from_b = moves[t - 1][:, None], moves[t - 1]
+    from_a, from_b = moves[:-1, :, None], moves[:-1, None]
     with np.errstate(invalid="ignore"):
-        more = np.where(from_b < np.inf, from_a - from_b, -np.inf)
-    return np.asarray(more.max(axis=-1))
+        more = np.where(from_b < np.inf, from_a - from_b, -np.inf).max(axis=-1)
+    return np.concatenate([np.zeros((1, states, states)), more])
 
 
 def _apart(y: Array, i: Choices, j: Choices) -> Array:

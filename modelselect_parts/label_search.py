@@ -151,11 +151,12 @@ def search(
     nothing, offset = np.zeros(1), np.zeros((steps[-1].read.shape[1], 1))
     labels = Labels(nothing, nothing, offset, np.zeros(1, dtype=np.intp))
     trail: list[tuple[Choices, Choices]] = []
+    detour = detours(triangle.moves)
     for t, step in reversed(list(enumerate(steps))):
         labels, parent, model = _extended(triangle, step, t, purse, given, ahead.least[t], labels)
         room = ahead.room(t, given.budget - labels.extra)
-        detour = detours(triangle.moves, t)
-        kept, rests = _survivors(labels, room, purse, given, margin, detour, rests, expired)
+        across = None if detour is None else detour[t]
+        kept, rests = _survivors(labels, room, purse, given, margin, across, rests, expired)
         most = min(width, 64) if expired() else width  # out of time: finish on a narrow beam
         if len(kept) > most:
             dropped = min(dropped, float(labels.extra[kept[most]] + ahead.least[t]))

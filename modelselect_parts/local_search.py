@@ -13,7 +13,7 @@ of steps that go to one model.  Where neither helps, disturb the schedule and tr
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -128,10 +128,11 @@ def _ends(node: Array, arc: Array | None, c: Choices, w: int) -> tuple[Array, Ar
 
 
 def descend(
-    form: Form, choices: Choices, noise: float, time_left: Callable[[], float]
+    form: Form, starts: Sequence[Choices], noise: float, time_left: Callable[[], float]
 ) -> tuple[Choices, int]:
-    """Swap steps, and intervals where moves cost something, while that helps; count them."""
-    choices, swaps = swap(form, choices, noise, time_left)
+    """Swap steps of each start; of the best, intervals too, where moves cost something; count."""
+    swapped = [swap(form, choices, noise, time_left) for choices in starts]
+    choices, swaps = min(swapped, key=lambda pair: _cost(form, pair[0]))
     if form.arc is None or _cost(form, choices) == math.inf:
         return choices, swaps
     choices, blocks = swap_blocks(form, choices, noise, time_left)
@@ -153,7 +154,7 @@ def perturbed(
         first, last = np.sort(rng.integers(0, H + 1, 2))
         c, w = best.copy(), rng.integers(W)
         c[first:last] = np.where(form.linear[:, w] < np.inf, w, best)[first:last]
-        c, _ = descend(form, c, noise, time_left)
+        c, _ = descend(form, [c], noise, time_left)
         if time_left() <= 0:
             break
         if _cost(form, c) < cost - noise:
