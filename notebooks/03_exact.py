@@ -3,18 +3,22 @@
 #
 # **After this notebook you can**
 #
-# - split the cost of any schedule into a bound and two excesses, and rule models out by it;
+# - split any cost into a bound and two excesses, and rule models out by it;
 # - say what a label must remember, and when it may die;
-# - copy an exact search of 25 lines, and say why what it drops is no loss;
-# - read a tree of branch and bound, and say what a search's word is worth;
 # - extend the proof to switching costs and a budget.
 #
 # **Covers** `sol:model_selection`, `sol:model_selection_expectation`, `remark:np_status`.
 #
-# A solver returns a schedule. Here is the other half of its answer: why none of $W^H$ schedules
-# ($W$ models, $H$ steps) is cheaper.
+# A solver returns a schedule, and a proof that no other is cheaper.
+#
+# ## Two steps, nine schedules
+#
+# A cart follows $x_{t+1} = x_t + u_t + s_t$ for two steps, with $Q = R = 1$, and acts on a forecast
+# (`preview`). Model b0 is free and errs by 1; b1 costs 0.2 and errs by -0.5; b2 costs 0.6 and errs
+# by 0.1. A schedule with errors $e$ costs $e^\top \Psi e$ (notebook 1) plus its prices. All costs,
+# step 0 downwards, step 1 to the right:
 
-# %%
+# %% tags=["hide-input"]
 from dataclasses import replace
 from unittest.mock import patch
 
@@ -24,16 +28,6 @@ import numpy as np
 import landing
 import modelselect as ms
 
-# %% [markdown]
-# ## Two steps, nine schedules
-#
-# A cart follows $x_{t+1} = x_t + u_t + s_t$, with $Q = R = 1$ and $H = 2$, and acts on a forecast
-# of its pushes $s_t$ (`preview`). Three models: b0 is free and errs by $1$; b1 costs 0.2 and errs
-# by $-0.5$; b2 costs 0.6 and errs by $0.1$. A schedule with errors $e = (e_0, e_1)$ costs the
-# regret $e^\top \Psi e$ (notebook 1) plus its prices. All costs, step 0 downwards, step 1 to the
-# right:
-
-# %%
 one, mean = np.eye(1), np.tile([[1.0], [-0.5], [0.1]], (2, 1, 1))
 small = ms.ControlTask(one, one, one, one, one, horizon=2)
 toy = ms.SelectionProblem(ms.psi(small, "preview"), mean, 0 * mean, model_cost=[0, 0.2, 0.6])
@@ -41,18 +35,17 @@ nine = np.indices((3, 3)).reshape(2, -1).T
 print(f"Psi = {toy.psi.round(3).tolist()}\n{toy.total_cost(nine).reshape(3, 3).round(3)}")
 
 # %% [markdown]
-# The best is b1, then b0, at 0.725: the errors partly cancel. Judged by itself, each step takes b1
-# (0.925).
+# The best is b1, then b0, at 0.725: errors partly cancel.
 #
-# Now pick **any** point $d$, say $(\frac{2}{45}, \frac{4}{45})$, and replace $e^\top \Psi e$ by its
-# tangent there, $2e^\top \Psi d - d^\top \Psi d$. Along it an error $\mu$ at either step costs
-# $2\mu\,(\Psi d)_t = \frac{2}{15}\mu$, and steps no longer meet. With its price, b0 costs
-# $\frac{2}{15} = 0.133$, b1 $-\frac1{15} + 0.2 = 0.133$, b2 $\frac{2}{150} + 0.6 = 0.613$. The
-# cheapest of each step, added up, less $d^\top\Psi d = 0.009$, make $LB = 0.258$.
+# Pick **any** point $d$, say $(\frac{2}{45}, \frac{4}{45})$. Replace $e^\top \Psi e$ by its
+# tangent there, $2e^\top \Psi d - d^\top \Psi d$. Along it steps no longer meet: an error $\mu$
+# costs $\frac{2}{15}\mu$ at either step. With prices, b0 and b1 cost 0.133, b2 costs 0.613.
 #
-# **Every** schedule costs exactly this bound, plus the **reduced costs** of its models (what each
-# costs above the cheapest: 0.48 for b2), plus a square that the tangent left out,
-# $(e - d)^\top \Psi (e - d)$:
+# - **The bound**: the cheapest of each step, 0.133 twice, less $d^\top \Psi d = 0.009$: 0.258.
+# - **Reduced costs**: what a model costs above the cheapest of its step, 0.48 for b2.
+# - **The square** that the tangent omits, $(e - d)^\top \Psi (e - d) \ge 0$.
+#
+# Every schedule costs their sum:
 
 # %% alt="Nine bars from the cheapest schedule, 0.725, to the dearest, 2.1: every bar is the same bound 0.258, plus 0.48 for each use of b2, plus a square. A dotted line at 0.725: the five bars of schedules with b2 pass it by bound and reduced costs alone." tags=["hide-input"]
 plt.rcParams.update(landing.STYLE)
@@ -73,29 +66,21 @@ axes.legend(loc="upper right")
 plt.show()
 
 # %% [markdown]
-# The **room** between the best schedule known and the bound is $\Delta = 0.725 - 0.258 = 0.467$. A
-# model of reduced cost $0.48 > \Delta$ is in no better schedule: b2 is out, four schedules are
-# left.
+# The best schedule known leaves a **room** of $\Delta = 0.725 - 0.258 = 0.467$ above the bound. One
+# b2 adds 0.48, so it is in no better schedule, and four are left.
 #
 # ## In general
 #
-# A schedule $c$ costs $\mu_c^\top M \mu_c + \sum_t \ell_{t,c_t}$ (notebook 2): $\mu_c$ are the
-# chosen mean errors, $M = \alpha\Psi \succeq 0$ with the weight $\alpha$ of regret, $\ell$ the
-# linear costs (variance and price). For every $d$ and $c$,
-# $\mu_c^\top M \mu_c = 2\mu_c^\top M d - d^\top M d + (\mu_c - d)^\top M (\mu_c - d)$, hence
+# A schedule $c$ with mean errors $\mu_c$ costs $\mu_c^\top \Psi \mu_c + \sum_t \ell_{t,c_t}$, where
+# $\ell$ adds variance and price (notebook 2). For every $d$ and $c$,
 #
-# $$\mathrm{total}(c) = LB(d) + \sum_t r_{t,c_t} + (\mu_c - d)^\top M (\mu_c - d),$$
+# $$\mathrm{total}(c) = LB(d) + \sum_t r_{t,c_t} + (\mu_c - d)^\top \Psi (\mu_c - d).$$
 #
-# $$G_{tw} = 2\,\mu_{tw}^\top (Md)_t + \ell_{tw}, \quad r_{tw} = G_{tw} - \min_v G_{tv} \ge 0,
-# \quad LB(d) = \sum_t \min_w G_{tw} - d^\top M d .$$
+# `certificate` computes the bound $LB(d)$ and the reduced costs $r$; its `G` is what a model costs
+# along the tangent. A bad $d$ makes the bound low, never wrong. The best $d$ is the mean error of
+# the cheapest **blend**: weights of models in place of a choice (notebook 4).
 #
-# ($G_{tw}$ is no part of notebook 1's $S_t = G_t G_t^\top$.) No term after $LB(d)$ is negative.
-# The best $d$ is the mean error of the **relaxation**, the cheapest blend: weights of the models
-# at each step in place of a choice (notebook 4). On two steps it is the $d$ above. A bad $d$ makes
-# the bound loose, never wrong.
-#
-# We check the identity on all 65,536 schedules of a longer cart: dear thrust, eight steps, four
-# models with signs drawn for every step.
+# We check the identity on all schedules of a longer cart (eight steps, four models):
 
 
 # %% tags=["hide-input"]
@@ -110,137 +95,209 @@ def cart(H=8, W=4, seed=46):
 
 
 task, problem = cart()
-mu, M, linear, steps = problem.mean[:, :, 0], problem.quadratic, problem.linear, np.arange(8)
+Psi, mean, linear, steps = problem.psi, problem.mean[:, :, 0], problem.linear, np.arange(8)
 everything = np.indices((4,) * 8).reshape(8, -1).T  # (65536, 8)
 costs = problem.total_cost(everything)
-best = everything[costs.argmin()]
-quick = ms.round_and_swap(problem)  # a schedule, with the relaxation's d
+quick = ms.round_and_swap(problem)  # a schedule, with the blend's d
 
 
 # %%
-def certificate(M, mean, linear, d):
+def certificate(Psi, mean, linear, d):
     """Return LB(d) and the reduced costs (H, W), for means (H, W)."""
-    G = 2 * mean * (M @ d)[:, None] + linear
-    return G.min(axis=1).sum() - d @ M @ d, G - G.min(axis=1, keepdims=True)
+    G = 2 * mean * (Psi @ d)[:, None] + linear
+    return G.min(axis=1).sum() - d @ Psi @ d, G - G.min(axis=1, keepdims=True)
 
 
-for d in (np.random.default_rng(0).normal(size=8), quick.reference):  # any d; the relaxation's
-    bound, reduced = certificate(M, mu, linear, d)
-    away = problem.chosen_mean(everything) - d
-    square = ((away @ M) * away).sum(axis=1)
+for d in (np.random.default_rng(0).normal(size=8), quick.reference):  # any d; the blend's
+    bound, reduced = certificate(Psi, mean, linear, d)
+    away = mean[steps, everything] - d
+    square = ((away @ Psi) * away).sum(axis=1)
     np.testing.assert_allclose(bound + reduced[steps, everything].sum(axis=1) + square, costs)
     print(f"LB(d) = {bound:6.2f} <= optimum {costs.min():.2f} <= {quick.cost:.2f}, quickly found")
-room = (quick.cost - bound) + 1e-9 * quick.cost  # Delta, and a little for rounding
-print((reduced <= room).sum(axis=1).prod(), "schedules left")
+room = quick.cost - bound + 1e-9 * quick.cost  # Delta, and a little for rounding
+print((reduced <= room).sum(axis=1).prod(), "schedules left, of", len(costs))
 
 # %% [markdown]
+# Of the $8^{150}$ schedules of the paper's landing reduced costs leave:
+
+# %% tags=["hide-input"]
+full = landing.run_experiment(landing.Settings(trials=1)).problem
+claim = ms.round_and_swap(full, ms.relax_interior_point(full, gap=1e-9))
+low, above = certificate(full.quadratic, full.mean[:, :, 0], full.linear, claim.reference)
+possible = above <= claim.cost - low + 1e-9 * claim.cost
+print(possible.sum(axis=1).prod())
+assert possible.sum() == 150 and possible[np.arange(150), claim.choices].all()
+
+# %% [markdown]
+# The landing needs no search. The cart does: there a blend is cheaper than any schedule.
+#
 # ## Labels: what a partial schedule must remember
 #
-# We search from the last step to the first. Under `preview` the square is notebook 1's regret, a
-# sum over steps, with deviations $\varepsilon_t = \mu_{t,c_t} - d_t$ in place of errors, the same
-# $P$, $K$, $S$ of Riccati's recursion and the same costate $q$ ($q_H = 0$; let $\alpha = 1$):
+# We go from the last step to the first. Under `preview` the square is a regret, as in notebook 1,
+# of deviations $\varepsilon_t = \mu_{t,c_t} - d_t$. Step $t$ feels its own deviation and, through
+# the costate $q$, all later ones ($q_H = 0$):
 #
-# $$h_t = P_{t+1} C \varepsilon_t + q_{t+1}, \qquad q_t = (A - BK_t)^\top h_t, \qquad
-# \text{step } t \text{ pays } (B^\top h_t)^\top S_t^{-1} (B^\top h_t).$$
+# $$h_t = P_{t+1} C \varepsilon_t + q_{t+1}, \qquad q_t = (A - BK_t)^\top h_t .$$
 #
-# Back to two steps: $P_2 = 1$, $S_1 = 2$, $A - BK_1 = \frac12$, $P_1 = \frac32$, $S_0 = \frac52$.
-# Let $d = 0$ for a moment, so that costs are plain.
+# It pays $(B^\top h_t)^\top S_t^{-1} B^\top h_t$. Two steps have $P_2 = 1,\ S_1 = 2,\ A - BK_1 =
+# \frac12,\ P_1 = \frac32,\ S_0 = \frac52$:
 #
-# - Last step: b1 costs $0.2 + \frac12 \cdot 0.25 = 0.325$, b0 costs $\frac12 = 0.5$.
-# - Yet b1 is not better: b0 leaves the costate $q_1 = \frac12$, and b1 at step 0 cancels
-#   most of it, $h_0 = \frac32 \cdot (-0.5) + \frac12 = -\frac14$. It pays $h_0^2 / S_0 = 0.025$ and
-#   its price 0.2: in all 0.725. After b1 the least is 0.925.
+# - At step 1, b1 deviates by -0.589, pays $0.589^2/2 = 0.173$, leaves $q_1 = -0.294$. b0 pays
+#   0.415, leaves 0.456.
+# - So far b1 is cheaper. But b1 at step 0 cancels most of what b0 left: $h_0 = -0.817 + 0.456$ pays
+#   0.052, 0.467 in all. After b1 the least is 0.667.
 #
-# So a **label** is: its extra cost so far (reduced costs and squares); its costate $q$, as many
-# numbers as the state has, all that earlier steps feel of it; the models chosen.
+# A **label** is a schedule from some step to the last. It keeps its models, its extra cost $x$
+# (reduced costs and squares) and its costate, all that earlier steps feel of it.
 #
 # ## When a label may die
 #
-# **Out of room**: its extra cost $x$ exceeds $\Delta$.
+# **Out of room**: its extra cost exceeds $\Delta$.
 #
-# **Dominated.** Give labels $i$ and $j$ of one step the same models at all earlier steps. These add
-# the same reduced costs to both, and squares $|y + v|^2$. The column $y + v$ stacks their
-# $S_t^{-1/2} B^\top h_t$: $y$ is linear in the label's $q$; $v$ comes from their own deviations,
-# the same for both. Within the room $x_j + |y_j + v|^2 \le \Delta$, so $v$ lies in a ball about
-# $-y_j$ of radius $\sqrt{\Delta - x_j}$. **If the ball of $j$ lies inside that of $i$, $j$ may
-# die**:
+# **Dominated.** On two steps, step 0 adds a reduced cost and $(v + q)^2/S_0$ to a label; $v$ comes
+# from the model of step 0. So each label is a parabola over $v$. A bar shows where that is within
+# the room.
+
+# %% alt="Three equal parabolas over v, cut off by a line at the room, 0.467. Bars above that line show where each is below it. The bar of b0 reaches left beyond the bar of b1: it lives. The dashed parabola lies above that of b1 until they meet over the room, its bar is inside the bar of b1: it dies." tags=["hide-input"]
+low, _ = ms.reference_bound(toy, [2 / 45, 4 / 45])
+delta, v = 0.725 - low, np.linspace(-1.6, 1.6, 400)
+figure, axes = plt.subplots(figsize=(10, 5))
+labels = (
+    ("b1", 0.2, -0.5, BLUE, "-"),
+    ("b0", 0.0, 1.0, ORANGE, "-"),
+    ("price 0.3, error -0.4", 0.3, -0.4, GREY, "--"),
+)
+spans = {}
+for k, (name, price, error, colour, style) in enumerate(labels):
+    off = error - 4 / 45
+    x, q = 2 / 15 * error + price - 2 / 15 + off**2 / 2, off / 2
+    spans[name] = -q + np.sqrt(2.5 * (delta - x)) * np.array([-1, 1])
+    axes.plot(v, x + (v + q) ** 2 / 2.5, style, color=colour, lw=3, label=name)
+    axes.plot(spans[name], [delta + 0.012 * (k + 1)] * 2, color=colour, lw=5)
+axes.axhline(delta, color="black", lw=1)
+axes.text(1.48, delta - 0.02, "room $\\Delta$", ha="right")
+axes.set(ylim=(0.05, 0.6), xlim=(-1.3, 1.5), xlabel="$v$", ylabel="extra cost")
+axes.set_title("A bar inside another: that label may die")
+axes.legend(title="step 1 runs", loc="lower left")
+plt.show()
+dashed = spans["price 0.3, error -0.4"]
+assert spans["b1"][0] <= dashed[0] and dashed[1] <= spans["b1"][1]
+assert spans["b0"][0] < spans["b1"][0]
+
+# %% [markdown]
+# **If the bar of $j$ lies inside that of $i$, $j$ may die.** At the ends of its bar, $j$ reaches the
+# room and $i$ is not above. Two parabolas of one shape differ by a straight line, so $i$ is not above
+# $j$ in between. In units of $\sqrt{S_0}$ a bar reaches $\sqrt{\Delta - x}$ to either side of
+# the lowest point. If these points are $\rho$ apart, the rule is
 #
-# $$\rho + \sqrt{\Delta - x_j} \le \sqrt{\Delta - x_i}, \qquad \rho = |y_i - y_j| .$$
+# $$\rho + \sqrt{\Delta - x_j} \le \sqrt{\Delta - x_i} .$$
 #
-# <details><summary>Why: within the room i is then never dearer</summary>
-#
-# Squared, this says $x_i + \rho^2 + 2\rho\sqrt{\Delta - x_j} \le x_j$. And $|y_i + v|$ is at most
-# $|y_j + v| + \rho$. So every $v$ in the ball of $j$ gives $x_i + |y_i + v|^2 \le x_j + |y_j +
-# v|^2$.
-#
-# </details>
-#
-# The distance needs no $y$: $\rho^2 = (q_i - q_j)^\top F_t (q_i - q_j)$. $F_t$ sums up what all
-# earlier steps feel: $F_0 = 0$, $F_{t+1} = B S_t^{-1} B^\top + (A - BK_t) F_t (A - BK_t)^\top$. The
-# whole search:
+# With more steps or states parabolas become bowls, bars become balls, and the rule stays. A matrix
+# `F` adds up what earlier steps feel of a costate. The whole search, to copy:
 
 
 # %%
+def dominated(j, i, F, room):
+    """Say whether label i is at most label j wherever j is within the room."""
+    apart = j[1] - i[1]
+    rho = np.sqrt(max(apart @ F @ apart, 0))
+    return rho + np.sqrt(room - j[0]) <= np.sqrt(room - i[0])
+
+
 def search(task, mean, reduced, d, room):
-    """Return the cheapest label (extra, costate, schedule) within the room, and all labels."""
-    law, B, F, log = ms.riccati(task), task.B, [0 * task.A], []
+    """Return the cheapest label (extra cost, costate, models), and how many each step kept."""
+    law, B, F, kept = ms.riccati(task), task.B, [0 * task.A], []
     for S, closed in zip(law.S, law.closed_loop, strict=True):
         F.append(B @ np.linalg.solve(S, B.T) + closed @ F[-1] @ closed.T)
     alive = [(0.0, np.zeros(task.n), ())]
     for t in reversed(range(task.horizon)):
         grown = []
-        for extra, q, later in alive:  # each label grows by each model
+        for x, q, later in alive:
             for w, mu in enumerate(mean[t]):
                 h = law.P[t + 1] @ task.C[:, 0] * (mu - d[t]) + q
-                x = extra + reduced[t, w] + B.T @ h @ np.linalg.solve(law.S[t], B.T @ h)
-                grown.append((x, law.closed_loop[t].T @ h, (w, *later)))
+                paid = reduced[t, w] + B.T @ h @ np.linalg.solve(law.S[t], B.T @ h)
+                grown.append((x + paid, law.closed_loop[t].T @ h, (w, *later)))
         alive = []
-        for extra, q, models in sorted(grown, key=lambda label: label[0]):  # cheapest first
-            fate = "kept" if extra <= room else "out of room"
-            for x, other, _ in alive:
-                rho = np.sqrt(max((q - other) @ F[t] @ (q - other), 0))
-                if extra <= room and rho + np.sqrt(room - extra) <= np.sqrt(room - x):
-                    fate = "dominated"
-            if fate == "kept":
-                alive.append((extra, q, models))
-            log.append((t, extra, models, fate))
-    return alive[0], log
+        for label in sorted(grown, key=lambda label: label[0]):  # cheapest first
+            if label[0] <= room and not any(dominated(label, i, F[t], room) for i in alive):
+                alive.append(label)
+        kept.append(len(alive))
+    return alive[0], kept
 
 
-(extra, _, found), log = search(task, mu, reduced, d, room)
-print(f"bound + least extra = {bound + extra:.3f} = optimum {costs.min():.3f}: {found}")
+(extra, _, models), kept = search(task, mean, reduced, d, room)
+print(f"bound + least extra = {bound + extra:.3f}: {models}; labels kept: {kept}")
 np.testing.assert_allclose(bound + extra, costs.min())
-assert tuple(best) == found
-
-# %% alt="Labels by step, from step 8 on the left, where nothing is chosen, to step 0, at the height of their extra cost over the room. Circles, one to seven a step, are kept and joined to the label they grew from; crosses are dominated; triangles at the top are out of room. The thick path of the optimum ends at 0.9." tags=["hide-input"]
-figure, axes = plt.subplots(figsize=(11, 5.6))
-height = {models: x / room for _, x, models, fate in log if fate == "kept"} | {(): 0}
-for models, y in height.items():
-    if models:
-        width = 4 if models == found[-len(models) :] else 1
-        path = [9 - len(models), 8 - len(models)], [height[models[1:]], y]
-        axes.plot(*path, color=ORANGE, lw=width, zorder=1)
-marks = {"kept": ("o", ORANGE), "dominated": ("x", "black"), "out of room": ("^", GREY)}
-for fate, (marker, colour) in marks.items():
-    here = [(t, min(x / room, 1.12)) for t, x, _, f in log if f == fate]
-    label = f"{fate}: {len(here)}"
-    axes.plot(*np.transpose(here), marker, color=colour, ms=9, mew=2, label=label)
-axes.axhline(1, color="black", lw=1)
-axes.set(xlim=(8.3, -0.3), ylim=(-0.05, 1.2), xlabel="step (8: nothing is chosen yet)")
-axes.set_ylabel("extra cost / $\\Delta$ (over 1.12: drawn there)")
-axes.set_title("Few labels stay alive; thick line: the optimum")
-figure.legend(loc="outside lower center", ncols=3)
-plt.show()
 
 # %% [markdown]
-# The module's `dynamic_program` is this search for every pattern, for errors of $p$ numbers, and
-# for every cost. Notebook 0 has it in NumPy alone.
+# Seven labels at most are kept at a step. `dynamic_program` is this search for every pattern and
+# cost. It may be slow: the problem is NP-hard (`remark:np_status`, notebook 4).
 #
-# ## Branch and bound: the same bound on a tree
+# ## Whose word is a bound?
 #
-# Relax: find the best blend, and with its $d$ the bound. If it reaches the best schedule known,
-# drop the node. If not, split a step: a child for each model that reduced costs leave there (below,
-# at step 5, b0 and b2); relax each.
+# `check_certificate` derives cost and $LB(d)$ anew. It cannot repeat a search, so it accepts any
+# `lower_bound` between them. `Schedule.proof` says what carries that: `"root"`, which you can check,
+# or `"search"`. A lie that passes, though only 10.03 is vouched for:
+
+# %%
+lie = replace(quick, lower_bound=quick.cost)  # not the optimum
+print(lie.is_optimal, lie.proof, round(ms.check_certificate(problem, lie), 2))
+assert lie.is_optimal and lie.cost > 1.01 * costs.min() and lie.proof == "search"
+
+# %% [markdown]
+# ## Switching costs and a budget: the same certificate
+#
+# Let a change of model cost 0.5. Now a schedule is a **path**: its nodes cost `G`, its arcs 0.5
+# where the model changes. The cheapest path takes the place of the sum of minima.
+#
+# Let a schedule also spend at most a budget of 3 on models and changes. Take any price $\lambda \ge
+# 0$ on spending, paid by nodes and arcs. The bound falls by $3\lambda$, and
+#
+# $$\mathrm{total} = LB(d, \lambda) + (\text{path} - \text{cheapest path})
+# + \lambda\,(3 - \text{spent}) + \text{square}.$$
+#
+# Within the budget no excess is negative. On the longer cart:
+
+# %% tags=["hide-input"]
+limited = replace(problem, switch_cost=0.5 * (1 - np.eye(4)), budget=3.0)
+answer, point = ms.solve(limited), ms.relax_by_columns(limited)
+lam, spent = point.multiplier, limited.perception_term(answer.choices)
+bound, _ = ms.reference_bound(limited, point.reference, lam)
+print(f"LB(d, {lam:.2f}) = {bound:.2f}; optimum {answer.cost:.2f}: {answer.choices} spends {spent}")
+assert bound <= answer.cost
+np.testing.assert_allclose(answer.cost, ms.enumerate_schedules(limited).cost)
+
+# %% [markdown]
+# **In one paragraph.** Any $d$ splits every cost into a bound, reduced costs and a square. Reduced
+# costs rule models out. The rest is searched from the last step: a label dies out of room or
+# dominated. Next: where $d$ comes from.
+#
+# ## Recall
+#
+# <details><summary>Why is LB(d) a bound for a badly chosen d, too?</summary>
+#
+# The identity holds for every $d$, and what follows $LB(d)$ is never negative.
+#
+# </details>
+# <details><summary>Two labels of one step: x = 1 and x = 2. May the dearer one die?</summary>
+#
+# Only if their costates are near: $\rho \le \sqrt{\Delta - 1} - \sqrt{\Delta - 2}$. Otherwise
+# earlier steps may cancel the dearer one's and not the other's.
+#
+# </details>
+# <details><summary>A schedule says gap 0 and proof "search". What can you check?</summary>
+#
+# Its cost and its root bound. That nothing lies between is the search's word.
+#
+# </details>
+#
+# ## Exercises
+#
+# ### Exercise 1: branch and bound by hand
+#
+# The root of a tree allows all models. Relax: the cheapest blend gives a bound. If that reaches the
+# best schedule known, nothing below is better. If not, split a step: a child for each model. The
+# module's tree for the longer cart (reduced costs save children):
 
 # %% alt="A tree of 16 nodes as an indented list. The root's bound is 10.0281. Its four children settle step 2, theirs other steps; each node names step and model. The six that were split show bounds below the optimum 11.5894, the last by 0.0001; below the dotted leaves nothing is cheaper than it." tags=["hide-input"]
 tree = ms.branch_and_bound(problem).work["tree"]
@@ -265,98 +322,12 @@ leaves = [min(node.bound, node.best) for k, node in enumerate(tree) if k not in 
 assert min(leaves) >= costs.min() * (1 - 1e-9) and tree[0].bound < costs.min()
 
 # %% [markdown]
-# ## Whose word is a bound?
-#
-# `check_certificate` derives cost and $LB(d)$ anew. It accepts any `lower_bound` between the two,
-# as it cannot repeat a search. `Schedule.proof` says what carries the bound: `"root"`, three lines
-# that you can check, or `"search"`, a search's word. Here is a lie that passes; 10.03 is all that
-# is vouched for:
-
-# %%
-lie = replace(quick, lower_bound=quick.cost)  # not the optimum
-print(lie.is_optimal, lie.proof, round(ms.check_certificate(problem, lie), 2))
-assert lie.is_optimal and lie.cost > 1.01 * costs.min() and lie.proof == "search"
-
-# %% [markdown]
-# ## Switching costs and a budget: the same certificate
-#
-# Let a change of model cost $\sigma$, and let a schedule spend at most $K$ (not a gain here) on
-# models and changes. Now a schedule is a **path**. Its nodes, a model at each step, cost $G$; its
-# arcs, from a model to the next, cost $\sigma$ where the model changes. Take any $d$, and any
-# $\lambda \ge 0$ as a price on the budget: each node and arc costs $\lambda$ times what it spends,
-# too. The cheapest path takes the place of the sum of minima,
-# $LB(d, \lambda) = \text{cheapest path} - d^\top M d - \lambda K$:
-#
-# $$\mathrm{total} = LB(d, \lambda) + (\text{path} - \text{cheapest path})
-# + \lambda\,(K - \mathrm{spent}) + \text{square}.$$
-#
-# On two steps, with $\sigma = 0.3$, the cheapest path stays with b0 or b1, and the bound is 0.258
-# as before. b1, then b0 now costs 1.025, so b1 twice is the optimum. On the cart, with a budget of
-# 3:
-
-# %%
-limited = replace(problem, switch_cost=0.5 * (1 - np.eye(4)), budget=3.0)
-answer, point = ms.solve(limited), ms.relax_by_columns(limited)
-lam, spent = point.multiplier, limited.perception_term(answer.choices)
-bound, _ = ms.reference_bound(limited, point.reference, lam)
-print(f"LB(d, {lam:.2f}) = {bound:.2f}; optimum {answer.cost:.2f}: {answer.choices} spends {spent}")
-assert bound <= answer.cost
-np.testing.assert_allclose(answer.cost, ms.enumerate_schedules(limited).cost)
-
-# %% [markdown]
-# ## The paper's experiment
-#
-# $H = 150$, $W = 8$, proved by the identity alone:
-
-# %%
-full = landing.run_experiment(landing.Settings(trials=1)).problem
-claim = ms.round_and_swap(full, ms.relax_interior_point(full, gap=1e-9))
-bound, reduced = certificate(full.quadratic, full.mean[:, :, 0], full.linear, claim.reference)
-possible = reduced <= claim.cost - bound + 1e-9 * claim.cost
-print(f"cost {claim.cost:.3e}, schedules left: {possible.sum(axis=1).prod()}")
-assert possible.sum() == 150 and possible[np.arange(150), claim.choices].all()
-
-# %% [markdown]
-# Of $8^{150}$ schedules one is left: ours. On the cart signs are mixed, and a blend of models
-# cancels better than any schedule: the bound lies below the optimum, and a search closes the gap.
-# Not always in time: the problem is NP-hard (`remark:np_status`, notebook 4).
-#
-# **In one paragraph.** Any $d$ splits every cost into a bound, reduced costs and a square. Reduced
-# costs rule models out. The rest is searched from the last step: a label remembers its extra cost
-# and its costate, and dies out of room or near a cheaper label. A tree uses the same bound,
-# switching costs and budgets the same identity. Next: where $d$ comes from.
-#
-# ## Recall
-#
-# <details><summary>Why is LB(d) a bound for a badly chosen d, too?</summary>
-#
-# The identity holds for every $d$, and what follows $LB(d)$ is never negative. A bad $d$ makes the
-# bound low.
-#
-# </details>
-# <details><summary>Two labels of one step: x = 1 and x = 2. May the dearer one die?</summary>
-#
-# Only if their costates are near: $\rho \le \sqrt{\Delta - 1} - \sqrt{\Delta - 2}$. Otherwise
-# earlier steps may cancel the dearer one's costate and not the cheaper one's.
-#
-# </details>
-# <details><summary>A schedule says gap 0 and proof "search". What can you check in three lines?</summary>
-#
-# Its cost and its root bound. That nothing lies between is the search's word.
-#
-# </details>
-#
-# ## Exercises
-#
-# ### Exercise 1: branch and bound by hand
-#
 # Write `branch(problem)`, about 20 lines, that returns choices, cost and the number of
 # relaxations. Keep a list of boolean tables `allowed` (H, W), at first all true, and a best
 # schedule. Take a table; `ms.relax_interior_point(problem, allowed=allowed, ceiling=cost)` gives a
-# `.bound` and `.weights` (H, W); it stops early once the bound exceeds the ceiling. Round the
-# weights to a schedule; better than the best? Drop the table if its bound reaches
-# `cost * (1 - 1e-9)` or if one model a step is left. Otherwise split the step of the most divided
-# weights: a child for each allowed model.
+# `.bound` and `.weights` (H, W), or stops early at the ceiling. Round the weights to a schedule;
+# better than the best? Drop the table if its bound reaches `cost * (1 - 1e-9)` or if one model a
+# step is left. Otherwise split the step of the most divided weights.
 
 
 # %% tags=["exercise"]
@@ -384,9 +355,9 @@ print("Exercise 1: right")
 # %% [markdown]
 # ### Exercise 2: the cheapest path
 #
-# Write `path_bound(problem, d)`: $LB(d)$ of a problem with switching costs (`problem.beta *
-# problem.switch_cost` are the arcs, from row to column; errors are numbers, no budget) in
-# $O(HW^2)$, without a bound of ours: from step to step, the cheapest way to each model.
+# Write `path_bound(problem, d)`: $LB(d)$ with switching costs, in $O(HW^2)$, without a bound of
+# ours. `problem.linear` is $\ell$; `problem.beta * problem.switch_cost` are the arcs, from row to
+# column. From step to step, find the cheapest way to each model.
 
 
 # %% tags=["exercise"]
@@ -412,9 +383,9 @@ print("Exercise 2: right")
 # %% [markdown]
 # ### Exercise 3 (open): one sign, and yet a gap
 #
-# The published errors have one sign, no entry of its $\Psi$ is negative, and the root proves it.
-# Is that why? Predict, then build `one_sign()`: a problem with positive means and $\Psi \ge 0$
-# whose relaxation stays more than 20% below the optimum. Say in a sentence why.
+# The landing's errors have one sign, no entry of its $\Psi$ is negative, and reduced costs prove
+# the optimum. Is that why? Predict, then build `one_sign()`: a problem with positive means and
+# $\Psi \ge 0$ whose cheapest blend stays more than 20% below the optimum. Say in a sentence why.
 
 
 # %% tags=["exercise"]
