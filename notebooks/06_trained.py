@@ -173,8 +173,9 @@ holds("that of the kernel is less than half as far off", over["kernel"] < over["
 #
 # Now networks read pictures from where the drone really is, in 200 landings by the kernel's
 # schedule, each through a new scene. Regret is more than was promised. The formula is not to blame:
-# $e^\top \Psi e$ of the errors that are met *is* the regret, on average over gusts. The table is: it
-# was measured for the glide path, and errors lead the drone off it, to another altitude and tilt.
+# $e^\top \Psi e$ of the errors that are met *is* the regret, on average over gusts. The table is:
+# it was measured for the glide path, and errors lead the drone off it, to another altitude and
+# tilt.
 
 # %%
 s = kernel.landing.draw_inputs(np.random.default_rng(2), 200)  # gusts
@@ -236,8 +237,8 @@ bars.set_title("Regret, as met over scattered")
 plt.show()
 
 # %% [markdown]
-# Under `measurement` errors of two steps never meet, so scattering changes nothing. Under the filter
-# they do, and a table of means and variances promises as if they were scattered.
+# Under `measurement` errors of two steps never meet, so scattering changes nothing. Under the
+# filter they do, and a table of means and variances promises as if they were scattered.
 #
 # ## The verdict: five trainings, 1,000 flights each
 #
@@ -344,8 +345,8 @@ print("Exercise 1: right")
 # ### Exercise 2: an honest promise without new pictures
 #
 # Cross-fit: for each fold (an array of picture numbers) choose the schedule by all *other*
-# pictures, and judge it by the fold, both with `fit`. Return the mean total over folds, promised and
-# judged. (One split can say the opposite by chance: let each picture
+# pictures, and judge it by the fold, both with `fit`. Return the mean total over folds, promised
+# and judged. (One split can say the opposite by chance: let each picture
 # judge once.)
 
 

@@ -129,8 +129,8 @@ Psi = ms.psi(task, "filter", gains=gains)
 print("gains", *gains[0].ravel().round(2), " echo:", *(Psi[25, 25:36:2] / Psi[25, 25]).round(2))
 
 # %% [markdown]
-# The *echo* is $\Psi_{25,k} / \Psi_{25,25}$ for $k = 25, 27, \dots$: an error meets those of the next
-# nine steps, almost two seconds.
+# The *echo* is $\Psi_{25,k} / \Psi_{25,25}$ for $k = 25, 27, \dots$: an error meets those of the
+# next nine steps, almost two seconds.
 #
 # ## The schedule
 #
