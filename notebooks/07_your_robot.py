@@ -12,9 +12,10 @@
 # **Covers** `eq:dynamics`, `eq:control_cost_diff`, `eq:perModelExp`, `eq:perModelVar`,
 # `eq:perceptionCostDistro`, `prob:model_selection_expectation`.
 #
-# A drone descends onto a pad with a tag. Six settings of a real tag detector measure its height;
-# a Kalman filter turns measurements into a belief, and the controller acts on the belief. **Which
-# setting should look at each step?** You come from notebooks 1 to 3. **Yours** is what you change:
+# A drone descends onto a pad with a tag. A real tag detector, at six settings (scale of the
+# picture, refinement of corners), measures its height. A Kalman filter turns measurements into a
+# belief, on which the controller acts. **Which setting should look at each step?** **Yours** is
+# what you change:
 #
 # | you bring | it becomes |
 # |---|---|
@@ -39,22 +40,20 @@ path = {"altitude": 80 - 1.4 * np.arange(H)}  # ft, at 7 ft/s
 # %% [markdown]
 # ## Two steps
 #
-# A robot on a line, $x_{t+1} = x_t + u_t$, $Q = R = 1$, $H = 2$, whose filter believes half of
-# what a measurement says against its expectation: gain $\Gamma = \frac12$. An error $e_0$ puts the
-# belief off by $\xi_0 = \frac12 e_0$. At the next step half of that is left:
-# $\xi_1 = \frac14 e_0 + \frac12 e_1$. Wrong beliefs make wrong commands, which cost
-# $0.9\,\xi_0^2 + 0.5\,\xi_1^2$, so
+# A robot on a line, $x_{t+1} = x_t + u_t$ with $Q = R = 1$, has a filter that believes half of each
+# measurement. An error $e_0$ puts the belief off by $\frac12 e_0$. One step later half of that
+# is left: $\frac14 e_0 + \frac12 e_1$. Wrong beliefs make wrong commands, which cost
 #
 # $$e^\top \Psi e = 0.256\, e_0^2 + 0.125\, e_0 e_1 + 0.125\, e_1^2 .$$
 #
-# Two free detectors err by $+1$ and $-1$. One throughout costs 0.506; both in turn 0.256: the
-# filter averages opposite biases. If a switch costs 0.3, staying wins.
+# Two free detectors err by $+1$ and $-1$. One throughout costs 0.506, both in turn 0.256: opposite
+# biases average out. If a switch costs 0.3, staying wins.
 #
-# Now plan **anew** at step 1, after $+1$. The belief is already off, so errors now cost $0.125\,
-# e_1^2 + 0.125\, e_1$. The linear term is the **pull** $2\Psi_{10} e_0$. Who plans without it finds
-# both detectors equal.
+# Now plan **anew** at step 1, after $+1$. The belief is already off, so errors now cost
+# $0.125\, e_1^2 + 0.125\, e_1$. The linear term is the **pull**. Who plans without it finds both
+# detectors equal.
 
-# %%
+# %% tags=["hide-input"]
 line = ms.ControlTask([[1]], [[1]], [[1]], [[1]], [[1]], horizon=2)
 half = ms.kalman_gains(line, process_noise=[[1]], measurement_noise=[[2]])  # 1/2
 small = ms.psi(line, "filter", gains=half)
@@ -69,15 +68,9 @@ assert np.isclose(pull, 0.125) and np.isclose(pull, 2 * small[1, 0] * 1.0)
 assert np.diff(toy.total_cost([[0, 0], [0, 1]])) < 0 < np.diff(toll.total_cost([[0, 0], [0, 1]]))
 
 # %% [markdown]
-# ## In general
+# ## What does your controller know?
 #
-# The detectors measure $y = Zx$, $Z = C^+$, and
-#
-# $$\xi_t = (I - \Gamma_t Z) A\, \xi_{t-1} + \Gamma_t e_t, \qquad
-# e^\top \Psi e = \sum_t (K_t \xi_t)^\top S_t\, (K_t \xi_t) .$$
-#
-# $K_t$ are the gains of the regulator; $S_t$ is what a wrong command costs, $R$ and all that
-# follows. This is the pattern `filter`. Other robots have others. Ask in this order:
+# It picks the pattern, and so $\Psi$ (notebook 1):
 #
 # 1. Do models measure the **state**? Fed back as it is: `measurement`. Through an observer with
 #    gains: `filter`.
@@ -87,16 +80,15 @@ assert np.diff(toy.total_cost([[0, 0], [0, 1]])) < 0 < np.diff(toll.total_cost([
 #
 # ## The file
 #
-# **Yours**: a file with a row for every look of every model, also those that gave nothing
-# (an empty residual): a detector that fails where it is hard would otherwise seem perfect. The
-# residual is what was reported less the truth. Ours has 1,600 views of a pad, in feet
-# (`data/tags.py`); all that is known of a look, three columns here, is in the table's `altitude`.
+# **Yours**: a row for every look of every model, its residual (reported less truth) empty where it
+# gave nothing; else a detector that fails where it is hard would seem perfect. Ours has 1,600 views
+# of a pad, in feet (`data/tags.py`).
 
 # %%
 with open("data/tags.csv") as file:
     print(*(next(file) for _ in range(3)), sep="", end="")
 table = pc.read_residuals("data/tags.csv")
-view, milliseconds, _ = table.altitude.T
+view, milliseconds, _ = table.altitude.T  # the columns between model and residual
 price = {name: np.median(milliseconds[table.model == w]) for w, name in enumerate(table.names)}
 kept = "model", "altitude", "residual"
 fitted, other = (
@@ -112,21 +104,22 @@ def suite_of(residuals):
 
 
 suite, missed = suite_of(fitted)
+
+# %% tags=["hide-input"]
 for w, name in enumerate(suite.names):
     entry = (f"{suite.mean[t, w, 0]:+.2f} ± {suite.variance[t, w, 0] ** 0.5:.2f}" for t in (0, 25))
     print(f"{w}: {name:12} {price[name]:5.1f} ms", *entry, f" misses {missed[0, w]:.0%}", sep="  ")
 
 # %% [markdown]
-# Bias ± spread at 80 and 45 ft, and the share of looks at 80 ft that gave nothing. The names are a
-# scale of the picture and a refinement of corners. The two slow detectors read too low, the four
-# quick ones too high. A `Kernel` weighs views by how near they were (30% in altitude), and lets
-# errors grow with distance. Every second view is kept for the rehearsal.
+# Bias ± spread at 80 and 45 ft, and the share of looks at 80 ft that gave nothing. The two slow
+# detectors read too low, the quick ones too high. The `Kernel` weighs views by nearness (30% in
+# altitude), and lets errors grow with altitude. Every second view is kept for the rehearsal.
 #
 # ## The robot
 #
-# **Yours**: $A$ and $B$ for your step, deviations allowed (a weight is one over its square,
-# so $J$ counts "one step at the allowance" as 1), and what you expect of the world: here gusts of
-# 0.5 ft/s² and errors of 1 ft, from which the gains follow.
+# **Yours**: $A$ and $B$ for your step; deviations allowed (a weight is one over its square, so
+# one step at the allowance costs 1); what you expect of the world, here gusts of 0.5 ft/s² and
+# errors of 1 ft, from which the gains follow.
 
 # %%
 A, B = np.array([[1, dt], [0, 1]]), np.array([[dt**2 / 2], [dt]])  # u in ft/s^2, held over a step
@@ -136,8 +129,8 @@ Psi = ms.psi(task, "filter", gains=gains)
 print("gains", *gains[0].ravel().round(2), " echo:", *(Psi[25, 25:36:2] / Psi[25, 25]).round(2))
 
 # %% [markdown]
-# An error meets those of the next nine steps, almost two seconds ("echo": $\Psi_{25,k} /
-# \Psi_{25,25}$), and later ones weakly, with the opposite sign: the belief swings past the truth.
+# The *echo* is $\Psi_{25,k} / \Psi_{25,25}$ for $k = 25, 27, \dots$: an error meets those of the
+# next nine steps, almost two seconds.
 #
 # ## The schedule
 #
@@ -149,6 +142,8 @@ free = ms.SelectionProblem.from_suite(Psi, suite, beta=1 / 1000)
 each = np.tile(free.model_cost, (H, 1))  # prices for each step: a detector may break on the way
 problem = replace(free, model_cost=each, switch_cost=5 * (1 - np.eye(6)), budget=1200.0)
 plan = ms.solve(problem)
+
+# %% tags=["hide-input"]
 constant = [np.full(H, w) for w in range(6)]
 schedules = {
     "optimum": ms.solve(free).choices,
@@ -159,8 +154,8 @@ schedules = {
 print("                which detector at each step                       total, switches free")
 for name, c in schedules.items():
     print(f"{name:15}", "".join(map(str, c)), f"{free.total_cost(c):.2f}")
-print(f"plan: {plan.cost:.3f} with switches, gap {plan.gap:.0e} by {plan.proof}, spends", end=" ")
-print(f"{problem.perception_term(plan.choices):.0f} ms; the bound's slope: {plan.multiplier:.4f}")
+spent = problem.perception_term(plan.choices)
+print(f"plan: {plan.cost:.3f} with switches, gap {plan.gap:.0e} by {plan.proof}, {spent:.0f} ms")
 dearer = free.total_cost(schedules["greedy"]) / free.total_cost(schedules["optimum"])
 assert plan.is_optimal and 1.3 < dearer < 1.33 and (suite.mean[:, 5] < 0).all()
 
@@ -193,13 +188,12 @@ plt.show()
 # %% [markdown]
 # Greedy judges each step by itself and pays almost a third more: number 5 reads low throughout, and
 # that stays in the belief. The optimum slips in a cheap look that reads high. The budget drives
-# number 5 out early; a further millisecond is worth about the slope of the bound.
+# number 5 out early.
 #
 # ## The message
 #
-# A schedule travels as strict JSON, as does its problem. The robot derives cost and root bound
-# anew, and refuses a message that does not add up. What lies between root bound and cost is the
-# search's word (notebook 3).
+# A schedule travels as strict JSON. The robot derives cost and root bound anew, and refuses a
+# message that does not add up. What lies between the two is the search's word (notebook 3).
 
 # %%
 received = ms.Schedule.from_json(message := plan.to_json())
@@ -232,6 +226,7 @@ def fly(errors, c):
     return control, control + free.perception_term(c) / 1000
 
 
+# %% tags=["hide-input"]
 unseen = draw(other, 1000, np.random.default_rng(0))
 again = ms.SelectionProblem.from_suite(Psi, suite_of(other)[0], beta=1 / 1000)
 print("control cost:   promised  by the other views   flown         total")
@@ -248,16 +243,16 @@ for c in (schedules["greedy"], *constant):
 
 # %% [markdown]
 # What was flown is what the **other** views predict: the formula holds. The promises of the fitted
-# half are off by up to a fifth, either way: 800 views leave that open, and even the sign of number 4's
-# small bias. The optimum still costs less than greedy and than any one detector. But the plan
-# within 1,200 ms, promised to beat greedy, now costs more: greedy spends almost twice as much.
+# half are off by up to a fifth, either way: 800 views leave that open. The optimum still costs less
+# than greedy and than any one detector. But the plan within 1,200 ms, promised to beat greedy, now
+# costs more: greedy spends almost twice the time.
 #
 # ## Planning anew
 #
-# At every step the robot plans the rest of the descent again. The rest of $\Psi$ is its lower right
-# block, and what the filter already believes wrongly is the pull $2\Psi_{\mathrm{rest,past}}\,
-# \mu_{\mathrm{past}}$. `receding_horizon` keeps the books: budget left, detector in memory. At step
-# 20 number 4 breaks.
+# At every step the robot plans the rest again, with the rest of $\Psi$. What the filter already
+# believes wrongly is the pull: $2\Psi_{\mathrm{rest,past}}$ times the mean errors so far.
+# `receding_horizon` keeps the books: budget left, detector in memory. In the last of three descents
+# number 4 breaks at step 20.
 
 
 # %%
@@ -278,6 +273,7 @@ def descend(breaks=H, remember=True):
     return ran
 
 
+# %% tags=["hide-input"]
 paid = {}
 for name, news in {"no news": (), "no pull": (H, False), "4 breaks": (20,)}.items():
     ran = descend(*news)
@@ -291,9 +287,9 @@ print(f"the optimum with switches free costs {alike:.2f} if noise lasts")
 assert 1.3 < alike / free.total_cost(schedules["optimum"]) < 1.33
 
 # %% [markdown]
-# Without news planning anew changes nothing: a tail of an optimum is optimal, **given the pull**.
-# Without the pull the robot replans itself into the very drift that it had planned against. When
-# number 4 breaks, 2 and 3 take its place.
+# Without news planning anew changes nothing: the tail of an optimum is optimal, **given the pull**.
+# Without it the robot replans itself into the drift that it had planned against. When number 4
+# breaks, others take its place.
 #
 # ## Before you trust it
 #
@@ -305,25 +301,23 @@ assert 1.3 < alike / free.total_cost(schedules["optimum"]) < 1.33
 # | the model is linear along the path | give $A, B, C$ a time axis |
 # | views of the file are like those in use | record anew |
 #
-# Costs are expectations. They say nothing of the worst case: keep your safety monitor. The first
-# row matters: pictures 0.2 s apart look alike. If noise of neighbouring steps correlates by 0.6,
-# the optimum costs 7.57, where 5.74 was promised (last line above).
+# The first row matters: pictures 0.2 s apart look alike. If noise of neighbouring steps correlates
+# by 0.6, the optimum costs 7.57, not 5.74. Costs are expectations: keep your safety monitor.
 #
 # **In one paragraph.** You bring a file of residuals, five matrices with gains, prices. What your
-# controller knows picks $\Psi$; a filter's $\Psi$ couples steps, so detectors of opposite bias
-# should take turns, and who judges step by step pays a third more. Switching costs and a budget
-# keep the certificate. The robot checks it on receipt and plans anew with the pull of what it
-# already believes. Rehearse on views that no fit has seen.
+# controller knows picks $\Psi$. A filter's couples steps, so detectors of opposite bias should take
+# turns; who judges step by step pays a third more. Switching costs and a budget keep the
+# certificate. The robot checks it, and plans anew with the pull. Rehearse on views that no fit has
+# seen.
 #
 # ## Recall
 #
 # <details><summary>A flown cost differs from the promise. Which comparison says whether the formula or the file is to blame?</summary>
 #
-# Predict the flight with moments of the views that were flown. If that agrees, the formula is
-# right, and the fitted views were unlike the others.
+# Predict the flight with moments of the views that were flown. If that agrees, the file is.
 #
 # </details>
-# <details><summary>A crane computes its whole motion from one forecast of the swell; a ship's position is a running mean of looks; a walker of exact joints sees how soft the ground is when its foot lands. Which patterns?</summary>
+# <details><summary>A crane computes its whole motion from one forecast of the swell; a ship's position is a running mean of looks; a walker sees how soft the ground is when its foot lands. Which patterns?</summary>
 #
 # `open_loop`: it never looks at the load. `filter`. `causal`: this step's input and no later one.
 #
