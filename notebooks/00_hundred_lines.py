@@ -12,8 +12,8 @@
 #
 # A robot follows $x_{t+1} = A x_t + B u_t + C s_t$ and pays $x^\top Q x + u^\top R u$ at each
 # step. A perception model tells it $\hat s_t = s_t + e_t$; large models err less and cost more.
-# **Which model should run at which step?** The answer in NumPy alone; notebooks 1 to 4 say why each
-# line is true. Skim now, come back later.
+# **Which model should run at which step?** The answer in NumPy alone. Skim it now; notebooks 1 to 4
+# say why each line is true.
 #
 # ## Two steps by hand
 #
@@ -23,30 +23,19 @@
 # 1. **Riccati**, from the last step: $P_2 = Q = 1$, $S_1 = R + P_2 = 2$, $A - BK_1 = \frac12$;
 #    $P_1 = 1 + \frac12 = \frac32$, $S_0 = \frac52$.
 # 2. **$\Psi$.** A command that is off by $v$ costs $S_t v^2$ more. A wrong $e_1$ puts the last one
-#    off by $\frac12 e_1$: that costs $2 \cdot \frac14 e_1^2 = \frac12 e_1^2$. Foreseen one step
-#    earlier, half of it is left beside $P_1 e_0$, both over $S_0$: that costs
-#    $\frac25 (\frac32 e_0 + \frac12 e_1)^2$. The sum is $e^\top \Psi e$,
+#    off by $\frac12 e_1$: that costs $\frac12 e_1^2$. Half of $e_1$ is also foreseen at step 0, beside
+#    $P_1 e_0$: that costs $\frac25 (\frac32 e_0 + \frac12 e_1)^2$. The sum is $e^\top \Psi e$,
 #    $\Psi = (0.9, 0.3;\ 0.3, 0.6)$.
 # 3. **Costs**: `[0 0]` 2.1, `[0 1]` 0.95, `[1 0]` 0.725, `[1 1]` 0.925. Errors that cancel win.
-# 4. **Bound.** $e^\top \Psi e$ is convex, so it lies above its tangent at any point $d$:
-#    $e^\top \Psi e \ge 2 d^\top \Psi e - d^\top \Psi d$. Along a tangent steps do not meet. At
-#    $d = (\frac2{45}, \frac4{45})$, which `reference` finds, $2 \Psi d = (\frac2{15}, \frac2{15})$:
-#    at either step b0 costs $\frac2{15}$, and so does b1, $-\frac1{15}$ and its price $\frac15$. No
-#    schedule is below $2 \cdot \frac2{15} - d^\top \Psi d = 0.258$.
+# 4. **Bound.** $e^\top \Psi e$ is convex, so it lies above its tangent at any point $d$. Along a
+#    tangent steps do not meet, and each takes its cheapest model. At $d = (\frac2{45}, \frac4{45})$,
+#    which `reference` finds, no schedule is below 0.258.
 # 5. **Search** between 0.258 and 0.725, last step first.
 #
 # ## The cell
 #
-# | function | what it computes |
-# |---|---|
-# | `riccati` | $P_{t+1}$, $S_t = R + B^\top P_{t+1} B$, the closed loop $A - BK_t$ |
-# | `sensitivity` | $\Psi$: what a wrong belief adds to each command, squared and summed |
-# | `certificate` | for any $d$: a bound, and what each model costs above the cheapest |
-# | `reference` | a good $d$: the mean error of a blend of schedules |
-# | `search` | the best schedule in the room above the bound; what cannot become it is dropped |
-# | `schedule` | all of it; a narrow search first, as a better schedule leaves less room |
-#
-# `PATTERNS` says what the controller knows: its rows are the table in the sheet below.
+# `schedule` calls the others. It searches twice, first narrowly: a better schedule leaves less room
+# above the bound. `PATTERNS` says what a controller knows (table in the sheet below).
 
 # %% tags=["copy"]
 import numpy as np
@@ -178,8 +167,8 @@ print(f"{len(log)} labels in the last search, of {3.0**H:.0e} schedules")
 assert bound < cost < 0.51 * min(single)
 
 # %% [markdown]
-# Half the cost of the best single model. 21 of 40 steps take the free one: its errors, ten times
-# those of the dearest, cancel in part. The modules find the same (a test compares all patterns):
+# Half the cost of the best single model: large errors cancel in part. The modules find the same (a
+# test compares all patterns):
 
 # %%
 import landing
@@ -192,11 +181,10 @@ assert answer.is_optimal and (answer.choices == best).all() and np.isclose(answe
 # ## A picture of the labels
 #
 # A **label** is a partial schedule, from some step to the last: what it costs above the bound
-# ($x$), and its costate $q$, the sum of later errors as earlier steps feel it (`h` and `q` in
-# `search`). Left: the optimum ends with the room, at 1, as the narrow search had found it. Right,
-# a disc for each label of step 15: its radius $\sqrt{\text{room} - x}$ is what earlier steps may add
-# before the label leaves the room; distances are $\rho$ (end of the sheet). A disc inside another
-# may go: whatever it can still afford, the other can, at no higher cost.
+# ($x$), and its costate $q$, the sum of its errors as earlier steps feel it. Left: the optimum
+# ends with the room, at 1, as the narrow search had found it. Right, a disc for each label of step
+# 15: its radius $\sqrt{\text{room} - x}$ is what earlier steps may add before the label leaves the
+# room. A disc inside another may go: whatever it can still afford, the other can, at no higher cost.
 
 # %% alt="Left, labels by step, from step 39 to step 0, at the height of their extra cost over the room: at most 29 dots a step are kept, crosses are dropped, all above 1 among them; the line of the optimum climbs from 0 to 1. Right, the discs of step 15 in the plane of costates: 14 kept ones overlap in a long cloud, each filled grey one lies inside a kept one; the optimum's is orange." tags=["hide-input"]
 import matplotlib.pyplot as plt
@@ -229,8 +217,7 @@ plt.show()
 
 # %% [markdown]
 # **In one paragraph.** A backward sweep gives the controller, one formula its sensitivity to wrong
-# beliefs, any reference point a bound: three lines of arithmetic prove it. A search from the last
-# step fills the room above it; its word you can repeat, but not check at a glance (notebook 3).
+# beliefs, any reference point a bound. A search from the last step fills the room above it.
 #
 # ## The sheet
 #
@@ -245,15 +232,14 @@ plt.show()
 # | $\Psi$ | errors cost $e^\top \Psi e$; $(pH, pH)$ |
 # | $\ell_{tw}$ | $\mathrm{tr}(\Psi_{tt} V_{tw}) + \kappa_w$ (weights $\alpha$, $\beta$ left out) |
 #
-# **The objective.** $\mathrm{total}(c) = \mu_c^\top \Psi \mu_c + \sum_t \ell_{t,c_t}$: means couple
-# steps, variances do not. Independence across steps is assumed.
+# **The objective.** $\mathrm{total}(c) = \mu_c^\top \Psi \mu_c + \sum_t \ell_{t,c_t}$, if errors of
+# different steps are independent.
 #
-# **Five patterns, one formula.** $e^\top \Psi e = \sum_t |\mathrm{row}_t|^2$, $\mathrm{row}_t =
-# G_t^{-1} B^\top (P_{t+1}(A m_t + C e_t) + q_{t+1})$; $C e_t$ where "now" says yes; foresight $q_t
-# = (A - BK_t)^\top (P_{t+1} C e_t + q_{t+1})$, else $q = 0$; $m_t$ is the error of the state that
-# the controller believes. In the last two rows models measure the state, $s$ is an unknown push of
-# mean 0, and $C e_t$ is the error of the measured state; what $C$ does not reach is known
-# (`measurement`) or estimated (`filter`). $C^+$: pseudo-inverse; $\Gamma$: the observer's gains.
+# **Five patterns, one formula.** $e^\top \Psi e = \sum_t |\mathrm{row}_t\, e|^2$, $\mathrm{row}_t\, e =
+# G_t^{-1} B^\top (P_{t+1}(A m_t + C e_t) + q_{t+1})$. $C e_t$ stands where "now" says yes; foresight
+# is $q_t = (A - BK_t)^\top (P_{t+1} C e_t + q_{t+1})$, else $q = 0$; $m_t$ is the error of the state
+# that the controller believes. In the last two rows models measure the state, wrong by $C e_t$, and
+# $s$ is an unknown push of mean 0. ($C^+$: pseudo-inverse; $\Gamma$: the observer's gains.)
 #
 # | pattern | memory | now | foresight | $\Psi$ |
 # |---|---|---|---|---|
@@ -282,8 +268,7 @@ plt.show()
 #
 # The bracket is a bound. With a schedule at cost $U$ in hand, $\Delta = U - [\cdot]$ is the room: a
 # model with $r_{tw} > \Delta$ is out, and so is a label $j$ for which a label $i$ has $x_i + 2\rho
-# \sqrt{\Delta - x_j} + \rho^2 \le x_j$. ($x$: what a label costs above the bound; $\rho$: the
-# distance of two costates, as earlier steps feel it.)
+# \sqrt{\Delta - x_j} + \rho^2 \le x_j$. ($\rho$: the distance of costates, as earlier steps feel it.)
 #
 # ## Recall
 #
@@ -309,8 +294,8 @@ plt.show()
 #
 # A robot learns its state one step late: at step $t$ it knows $x_{t-1}$, believes $\hat x_t =
 # Ax_{t-1} + Bu_{t-1} + C\hat s_{t-1}$, uses $\hat s_t$, and expects nothing later. ($x_0$ is
-# known.) First predict how far apart two steps may be whose errors meet ($\Psi_{tk} \ne 0$); then
-# write its row `late` of `PATTERNS`.
+# known.) Predict how far apart steps may be whose errors meet ($\Psi_{tk} \ne 0$); then write its
+# row `late` of `PATTERNS`.
 
 # %% tags=["exercise"]
 late, furthest = ..., ...  # (memory, told, foresight); the largest |t - k|

@@ -185,17 +185,6 @@ def test_claims_are_asserted_before_the_readers_eyes(name):
     assert sum("assert" in text for text in shown) >= 3
 
 
-def words(text: str) -> list[str]:
-    """Split Markdown into its words, without formulas, code and tags."""
-    text = re.sub(r"\$\$.*?\$\$|\$[^$]*\$|`[^`]*`|<[^>]*>", " ", text, flags=re.DOTALL)
-    return re.findall(r"[^\W\d_][\w'’-]*", text)
-
-
-def test_words_are_counted_without_formulas_code_tags_and_numbers():
-    text = "# 1. It's *half* of $a_t = b$:\n$$x\ny$$\n<b>well-known</b> `code here`, 0.5"
-    assert words(text) == ["It's", "half", "of", "well-known"]
-
-
 @each_notebook
 def test_it_is_read_in_twenty_minutes(name):
     text = " ".join(source(cell) for cell in cells(name) if cell["cell_type"] == "markdown")
@@ -207,7 +196,7 @@ def test_it_is_read_in_twenty_minutes(name):
         for line in source(cell).splitlines()
         if line.strip()
     ]
-    assert len(words(text)) <= MOST_WORDS
+    assert len(text.split()) <= MOST_WORDS  # formulas, tables and folded answers among them
     assert len(lines) <= MOST_LINES
 
 
