@@ -214,6 +214,32 @@ def test_a_label_of_another_model_costs_no_more_whatever_comes_before(seed, labe
 
 
 @given(SEEDS)
+def test_the_search_is_left_with_the_models_through_which_a_path_stays_within_the_excess(seed):
+    problem, rng = a_problem(seed, budget=False), np.random.default_rng(seed)
+    d = rng.normal(size=len(problem.psi))
+    found = trellis.certificate(problem.form, d)
+    through = found.reduced + (found.bound - found.base)
+    excess = max(0.0, float(rng.choice(through[np.isfinite(through)]))) * (1 + 1e-9)
+    left = np.isfinite(triangles.factor(problem.form, found, d, 0.0, excess).moves).any(axis=1)
+    assert not left[through > excess].any()
+    paths = [c for c in schedules_of(problem) if np.isfinite(problem.total_cost(c))]
+    for c in paths:  # none that costs less than the excess has lost a model
+        if problem.total_cost(c) < found.base + excess:
+            assert left[np.arange(len(c)), c].all()
+
+
+@given(SEEDS, st.integers(1, 6), st.integers(1, 30))
+def test_coordinates_that_tell_labels_apart_are_those_that_spread(seed, dimensions, labels):
+    rng = np.random.default_rng(seed)
+    y = rng.normal(size=(dimensions, labels)) * 10.0 ** rng.integers(-9, 1, (dimensions, 1)) + 1
+    near, spread, far = dominance._telling(y, 1e-4)
+    widths = np.sort(np.ptp(y, axis=1))[::-1]
+    np.testing.assert_array_equal(spread, widths[widths > 1e-4])
+    np.testing.assert_array_equal(np.ptp(near, axis=1), spread)
+    assert far == pytest.approx((widths[widths <= 1e-4] ** 2).sum())
+
+
+@given(SEEDS)
 def test_no_price_of_a_budget_beats_the_best_one_by_much(seed):
     problem = a_problem(seed)
     schedules = schedules_of(problem)

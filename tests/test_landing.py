@@ -164,6 +164,13 @@ def test_published_run_matches_the_log(published):
     assert means["All Large"][1] == log["All Large"][1] == 1.05e17
 
 
+def test_the_log_stands_beside_a_run_whose_budget_never_binds():
+    most = 7 * 150 * 1e14  # the largest model throughout
+    settings = [Settings(upsilon=1e14, budget=budget) for budget in (None, most, 0.9 * most)]
+    free, just, bound = (landing.published_log(each) for each in settings)
+    assert free and just.keys() == free.keys() and not bound
+
+
 @pytest.fixture(scope="module")
 def twenty_suites():
     """Mean control costs (20, 2) of All Small and All Large, for 20 suites that are not seed 0."""

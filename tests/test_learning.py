@@ -15,7 +15,7 @@ import modelselect as ms
 from landing import Settings, fly_stages, learn, run_experiment
 from modelselect_parts import learning, pooling, sight
 from modelselect_parts.flights import fly, leads
-from modelselect_parts.sight import fly_by_sight, gains_for
+from modelselect_parts.sight import MOST_PITCH, fly_by_sight, gains_for
 from perception import ARCHITECTURE, HIGHEST, LOWEST, MOUNT, Residuals, sample_errors
 
 TINY = {"architecture": ARCHITECTURE[:3], "training": 320, "held_out": 300, "epochs": 4}
@@ -265,6 +265,21 @@ def test_training_knows_nothing_of_what_its_pictures_are_judged_by(trained, monk
     known = [*seen, *states(inputs)]
     shots = {known.index(each) for each in known}  # the networks of one step share its noise
     assert len(shots) == 1 + 2 + 2 + 2 * 3 + 1  # training, fits, scenes, noise, inputs
+
+
+def test_the_camera_sees_altitude_and_pitch_not_their_rates():
+    aircraft = landing.preset("textbook", 4)
+
+    def seen(state):
+        altitude, shoot = sight._viewer(aircraft, 1, 0)(0, np.array([state], dtype=float))
+        return altitude[0], shoot(16)
+
+    height, still = seen([0, 0, 0, 0])
+    for k, changed in enumerate((True, False, True, False)):
+        altitude, picture = seen(0.2 * np.eye(4)[k])
+        assert (altitude != height) == (k == 0) and (picture != still).any() == changed
+    for beyond in (MOST_PITCH, 2 * MOST_PITCH):  # as far as its mount turns
+        np.testing.assert_array_equal(seen([0, 0, beyond, 0])[1], seen([0, 0, 9.0, 0])[1])
 
 
 @pytest.mark.no_cover

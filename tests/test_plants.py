@@ -136,6 +136,17 @@ def test_cross_terms_and_correlations_in_single_precision_are_taken():
         ms.correlated_problem(problem, joint)
 
 
+@pytest.mark.parametrize("name", ["Q", "Q_final", "R"])
+def test_a_matrix_is_judged_by_the_digits_of_its_own_type(name):
+    almost = np.array([[1, 1], [1, 1 - 1e-7]])  # smallest eigenvalue about -5e-8
+    plant, exact = [np.eye(2)] * 3, {"Q": np.eye(2), "R": np.eye(2), "Q_final": np.eye(2)}
+    single = {key: np.float32(matrix) for key, matrix in exact.items()}
+    if name != "R":  # which has to be definite
+        ControlTask(*plant, **(exact | {name: np.float32(almost)}), horizon=2)
+    with pytest.raises(ValueError, match=rf"^{name}: expected"):
+        ControlTask(*plant, **(single | {name: almost}), horizon=2)
+
+
 def test_a_cross_term_with_few_digits_is_told_what_to_do():
     Q, N = [[1, 0.7], [0.7, 0.49]], [[1], [0.7001]]
     with pytest.raises(ValueError, match=r"^N: expected \[\[Q, N\].*nearest_semidefinite of it$"):

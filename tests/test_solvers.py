@@ -787,3 +787,17 @@ def test_a_search_uses_all_the_labels_that_it_may_keep():
     problem = landing_problem("open_loop", "model")
     few, more = (ms.dynamic_program(problem, max_labels=most) for most in (64, 100))
     assert few.work["labels"].max() == 64 < more.work["labels"].max() <= 100
+
+
+@pytest.mark.parametrize("swapped", [False, True])
+def test_of_two_solvers_solve_takes_the_better_schedule_and_the_higher_bound(monkeypatch, swapped):
+    problem = known_suite(0)  # its relaxation leaves a gap
+    optimum, quick = ms.dynamic_program(problem), ms.round_and_swap(problem)
+    most = (quick.root_bound + optimum.cost) / 2
+    assert quick.gap > 1e-6 and most < optimum.cost
+    found = [replace(optimum, lower_bound=quick.root_bound), replace(quick, lower_bound=most)]
+    decoded, split = (replace(found[k], work={"complete": True}) for k in (swapped, not swapped))
+    monkeypatch.setattr(ms, "_searched", lambda *_, **__: decoded)
+    monkeypatch.setattr(ms, "branch_and_bound", lambda *_, **__: split)
+    answer = ms.solve(problem)
+    assert (answer.cost, answer.lower_bound) == (optimum.cost, most)
