@@ -4,23 +4,21 @@
 # **After this notebook you can**
 #
 # - price the errors of two steps with pencil and paper;
-# - build the matrix $\Psi$ of a controller from three answers: what does it remember, use now,
-#   foresee?
+# - build a controller's matrix $\Psi$ from three answers: what does it remember, use now, foresee?
 # - say why the same errors cost another controller more, or nothing.
 #
 # **Covers** `eq:dynamics`, `eq:jc`, `eq:relCtrlCost`, `eq:control_cost_diff`,
 # `prob:model_selection_naive`, `prob:model_selection`, `fig:one`.
 #
-# These notebooks follow *Dynamic Selection of Perception Models for Robotic Control* (Ghosh and
-# others; its errata are in [paper.md](paper.md)). A robot with state $x$ and commands $u$ moves
-# $H$ steps and pays $J$:
+# These notebooks follow *Dynamic Selection of Perception Models for Robotic Control* (its errata:
+# [paper.md](paper.md)). A robot with state $x$ and commands $u$ moves $H$ steps and pays:
 #
 # $$x_{t+1} = A x_t + B u_t + C s_t, \qquad
 # J = \sum_{t=1}^{H-1} x_t^\top Q x_t + x_H^\top Q_f x_H + \sum_{t=0}^{H-1} u_t^\top R u_t .$$
 #
 # It never sees $s$: wind, waves, a slope. A perception model tells it $\hat s = s + e$. Larger
-# models err less and cost more. **The question**: which model should run at which step, so that
-# errors and models together cost least? This notebook finds what errors cost.
+# models err less and cost more. **The question**: which model should run at which step? This
+# notebook finds what errors cost.
 
 # %%
 from dataclasses import replace
@@ -71,36 +69,38 @@ plt.show()
 #
 # Take $x_{t+1} = x_t + u_t + s_t$ and $J = x_2^2 + u_0^2 + u_1^2$. Start from the end.
 #
-# - The best last command is $u_1 = -\frac12 (x_1 + s_1)$. One that is off by $v$ adds $2v^2$ to
-#   $J$.
-# - If the best one follows, the best first command is $u_0 = -\frac13 (x_0 + s_0 + s_1)$. One that
-#   is off by $v$ adds $\frac32 v^2$.
+# - The best last command is $u_1 = -\frac12 (x_1 + s_1)$. Off by $v$, it costs $2v^2$ more.
+# - The best first one, if that follows, is $u_0 = -\frac13 (x_0 + s_0 + s_1)$. Off by $v$, it costs
+#   $\frac32 v^2$ more.
 #
-# Now perception errs by $e_0$ and $e_1$. The first command is off by $\frac13 (e_0 + e_1)$ (its sign
-# does not matter). The second depends on the controller:
+# Now $s$ is estimated with errors $e_0$ and $e_1$. The first command is off by $\frac13 (e_0 +
+# e_1)$, up to its sign. The second depends on the controller:
 #
-# - **It looks** at $x_1$ before. Only $e_1$ misleads it, by $\frac12 e_1$. In all the errors cost
-#   $\frac32 \cdot \frac19 (e_0 + e_1)^2 + 2 \cdot \frac14 e_1^2$.
-# - **It plans once**, for a state $x_1$ that is wrong by $e_0$. So it is off by $\frac12 (e_0 +
-#   e_1)$. In all the errors cost $\frac16 (e_0 + e_1)^2 + \frac12 (e_0 + e_1)^2$.
+# - `preview` looks at $x_1$ before. Only $e_1$ misleads it: it is off by $\frac12 e_1$.
+# - `open_loop` plans once, for an $x_1$ that is wrong by $e_0$: it is off by $\frac12 (e_0 + e_1)$.
 #
-# **Predict** what the errors $(1, -1)$ cost each. We fly both. **Regret** is, here and throughout,
-# $J$ fed $s + e$ less $J$ of the *same controller* fed $s$.
+# In all the errors cost
+#
+# $$\text{preview: } \tfrac16 (e_0 + e_1)^2 + \tfrac12 e_1^2, \qquad
+# \text{open\_loop: } \tfrac23 (e_0 + e_1)^2 .$$
+#
+# **Predict** what $(1, -1)$ costs each. We fly both, and print the **regret**: here and throughout,
+# the cost fed $s + e$ less the cost of the *same controller* fed $s$.
 
 
 # %% tags=["hide-input"]
-def cost(x0, s, s_hat, looks):
+def cost(x0, s, s_hat, information):
     """Return J of the robot, in fractions."""
     u0 = -Fraction(x0 + sum(s_hat)) / 3
     x1 = x0 + u0 + s[0]
-    believed = x1 if looks else x0 + u0 + s_hat[0]
+    believed = {"preview": x1, "open_loop": x0 + u0 + s_hat[0]}[information]
     u1 = -Fraction(believed + s_hat[1]) / 2
     return (x1 + u1 + s[1]) ** 2 + u0**2 + u1**2
 
 
-for looks in (True, False):
-    regret = cost(1, (1, 1), (2, 0), looks) - cost(1, (1, 1), (1, 1), looks)
-    print(f"looks: {looks}, regret {regret}")
+for information in ("preview", "open_loop"):
+    fed, true = (cost(1, (1, 1), s_hat, information) for s_hat in ((2, 0), (1, 1)))
+    print(f"{information:9} regret {fed - true}")
 
 # %% [markdown]
 # In the plan the two errors undo each other. Looking repairs what the first one did, and then the
@@ -109,37 +109,29 @@ for looks in (True, False):
 #
 # ## Any robot: three answers
 #
-# LQR finds the same for any robot. The best command is a gain times the state, plus a gain times
-# each input from now on:
+# LQR finds the same for any robot. The best command is, up to its sign, a gain $K_t$ times the
+# state, plus gains $F_{tk}$ times the inputs of this step and of later ones. One that is off by $v$
+# costs $v^\top S_t v$ more. (Above, $F_{01} = \frac13$ and $S_0 = \frac32$.)
 #
-# $$u_t^* = -(K_t x_t + F_{tt} s_t + F_{t,t+1} s_{t+1} + F_{t,t+2} s_{t+2} + \dots).$$
-#
-# One that is off by $v$ adds $v^\top S_t v$ to $J$. Above, $K_1 = F_{11} = \frac12$, $S_1 = 2$ and
-# $K_0 = F_{00} = F_{01} = \frac13$, $S_0 = \frac32$.
-#
-# A controller puts its *beliefs* into this formula. So its command is off by three wrong beliefs at
-# most, and $e^\top \Psi e$ adds up what all steps pay:
+# A controller puts its *beliefs* in the place of state and inputs. So its command is off by the
+# same gains times its errors, and all steps together pay $e^\top \Psi e$:
 #
 # $$v_t = \underbrace{K_t m_t}_{\text{memory}} + \underbrace{F_{tt} e_t}_{\text{now}} +
 # \underbrace{F_{t,t+1} e_{t+1} + \dots}_{\text{foresight}}, \qquad
 # e^\top \Psi e = \sum_t v_t^\top S_t v_t .$$
 #
-# Here $m_t$ is how wrong the controller is about its own state. The table says which parts it has:
+# | pattern | memory $m_t$: its error about $x_t$ | now | foresight |
+# |---|---|---|---|
+# | `open_loop`: an arm replays its plan | $m_{t+1} = A m_t + C e_t$, from 0 | yes | yes |
+# | `preview`: a car sees the road ahead | 0: it looks | yes | yes |
+# | `causal`: a drone senses the wind | 0: it looks | yes | no |
+# | `measurement`: a drone reads its altitude off pictures | $C e_t$: it misreads | no | no |
+# | `filter`: most robots (notebook 7) | what an observer remembers | no | no |
 #
-# | pattern | memory $m_t$ | now | foresight | a robot |
-# |---|---|---|---|---|
-# | `open_loop` | $m_0 = 0$, $m_{t+1} = A m_t + C e_t$ | yes | yes | an arm replays its plan |
-# | `preview` | 0: it sees its state | yes | yes | a car sees the road ahead |
-# | `causal` | 0: it sees its state | yes | no | a drone senses the wind of now |
-# | `measurement` | $C e_t$: it misreads its state | no | no | a drone reads its altitude off a picture |
-# | `filter` | what an observer remembers | no | no | most robots (notebook 7) |
+# In the last two rows the models measure the state, and $s$ pushes unseen.
 #
-# (In the last two rows the models measure the state, and $s$ pushes unseen.) Above, who looks is
-# `preview`, and who plans once is `open_loop`, with $m_1 = e_0$.
-#
-# In code each quantity is a matrix that multiplies $e$. `riccati` finds the gains: $P_t$ is what a
-# state costs from step $t$ on, $S_t = R + B^\top P_{t+1} B$, and `closed_loop` is $A - BK_t$. `q`
-# is what later inputs ask for, carried back step by step:
+# In code each quantity is a matrix that multiplies $e$. `riccati` is LQR's recursion; `q` is what
+# later inputs ask for, carried back step by step:
 
 # %%
 TABLE = {  # memory, now, foresight
@@ -152,7 +144,8 @@ TABLE = {  # memory, now, foresight
 
 def psi_by_step(task, information):
     """Return (H, pH, pH): e' psi_by_step[t] e is what step t pays; their sum is Psi."""
-    (memory, now, foresight), law, H = TABLE[information], ms.riccati(task), task.horizon
+    (memory, now, foresight), H = TABLE[information], task.horizon
+    law = ms.riccati(task)  # P: what a state costs; K; S = R + B'PB; closed_loop = A - BK
     Ce = task.C @ np.eye(task.p * H).reshape(H, task.p, -1)
     past = [0 * Ce[0]]
     for t in range(H - 1):
@@ -162,7 +155,7 @@ def psi_by_step(task, information):
     for t in reversed(range(H)):
         push = law.P[t + 1] @ Ce[t]
         told = task.B.T @ (now * push + foresight * q)
-        v = law.K[t] @ m[t] + np.linalg.solve(law.S[t], told)
+        v = law.K[t] @ m[t] + np.linalg.solve(law.S[t], told)  # the last term: all those with F
         pays.insert(0, v.T @ law.S[t] @ v)
         q = law.closed_loop[t].T @ (push + q)
     return np.array(pays)
@@ -176,18 +169,17 @@ for information in TABLE:
     np.testing.assert_allclose(Psi, ms.psi(two, information))
 
 # %% [markdown]
-# The first two are as by hand. The paper states the policy `preview` in its section II and takes
-# $\Psi$ from a source that plans once. Take the $\Psi$ of the controller that runs.
+# The paper states the policy `preview` and takes $\Psi$ from a source on `open_loop`. Take the $\Psi$ of the
+# controller that runs.
 #
-# **A forecast refreshed at every step** (MPC) is the commonest controller. Step $t$ acts on the
-# forecast made at $t$, and pays what `preview` pays at that step, for *this* forecast's errors. No
-# later step uses that forecast. So steps decouple (exercise 2).
+# **A forecast refreshed at every step** (MPC) is common. Step $t$ pays what it pays
+# under `preview`, for the errors of the forecast made at $t$. No later step uses that forecast. So
+# steps decouple.
 #
 # ## Fly it
 #
-# A boat holds its place for 40 steps of 0.2 s. Waves carry it, a mooring pulls it back, a thruster
-# pushes; offset and thrust are charged. We feed it the same errors $e$ in 1000 random seas and in
-# their mirror images, so that the mean sea is 0:
+# A boat holds its place against waves for 40 steps; offset and thrust cost. It gets the same errors
+# in 1000 random seas and in their mirror images:
 
 # %% tags=["hide-input"]
 dt, H, rng = 0.2, 40, np.random.default_rng(1)
@@ -213,17 +205,15 @@ for information in TABLE:
     np.testing.assert_allclose(found.mean(), price)
 
 # %% [markdown]
-# With a right forecast (`open_loop`, `preview`) the commands are the best ones, and $e^\top \Psi e$
-# is exact in every sea. Without one even right beliefs miss later waves, and an error may happen to
-# help. If $s$ has the mean that the controller expects, 0, and is independent of $e$, this averages
-# out: $e^\top \Psi e$ is exact **in expectation**.
+# With a forecast $e^\top \Psi e$ is exact in every sea. Without one even right beliefs miss later
+# waves, and an error may happen to help. Where $s$ has mean 0 and is independent of $e$, this
+# averages out: $e^\top \Psi e$ is exact **in expectation**.
 #
 # ## Reading $\Psi$
 #
 # $\Psi_{tt}$ is what an error of 1 at step $t$ costs alone; $2\Psi_{tk}$ what errors of 1 at two
-# steps cost *together*, beyond that. Red: errors of one sign make each other dearer, opposite ones
-# cancel. Blue: the other way round. Below: what each step pays if the estimate of step 20 alone is
-# wrong by 1.
+# steps cost *together*, beyond that. Red: errors of one sign make each other dearer. Blue: they
+# cancel, in part. Below: what each step pays if only the estimate of step 20 is wrong, by 1.
 
 # %% alt="Three columns. Causal: the matrix Psi is a diagonal, and of an error at step 20 step 20 alone pays, 0.025. Preview: a narrow red band; steps up to 20 pay, most from step 13 on, and none after, 0.139 in all. Open loop: a wide red diagonal stripe with a blue, negative one some 15 steps off it; the same steps pay as under preview, and then again until the end, 0.388 in all." tags=["hide-input"]
 figure, panels = plt.subplots(2, 3, sharex=True, sharey="row", figsize=(13, 7.4))
@@ -245,13 +235,12 @@ np.testing.assert_allclose(bills["open_loop"][:21], bills["preview"][:21])
 assert not bills["preview"][21:].any() and not np.delete(bills["causal"], 20).any()
 
 # %% [markdown]
-# `causal` and `measurement` have a diagonal: steps do not meet. Preview *braces* beforehand for a
-# wave that will not come, and the bracing of two errors overlaps: the band. Open loop also believes
-# itself elsewhere afterwards.
+# Preview *braces* beforehand for a wave that will not come, and the bracing of two errors overlaps:
+# the band. Open loop also believes itself elsewhere afterwards.
 #
 # So one error alone costs `causal` least and `open_loop` most, for every robot. *Two* errors need
-# not, as $(1, -1)$ showed. `measurement` has no place in this order, and late errors are not always
-# cheap. One state, 20 steps, all matrices 1 unless told:
+# not. `measurement` has no place in this order, and late errors are not always cheap. One state, 20
+# steps, all matrices 1 unless told:
 
 
 # %% tags=["hide-input"]
@@ -269,8 +258,8 @@ for Q_final in (1, 100):
 # %% [markdown]
 # ## Three models of equal mean square
 #
-# This robot ($A = 1$) plans once. No input comes, but models report $+1$ always, or random signs,
-# or $+1$ and $-1$ in turn:
+# This robot, all matrices 1, plans once. No input comes, but models report +1 always, or random
+# signs, or +1 and -1 in turn:
 
 # %% alt="Positions over 20 steps of a robot that plans once, fed errors of size 1. The biased model makes it drift away in a straight line to about -20. Thirty runs with random signs wander apart in a fan, up to 10 from zero. With alternating signs it stays within 1 of zero. The legend gives their mean regrets." tags=["hide-input"]
 fans = {
@@ -292,14 +281,11 @@ plt.show()
 assert prices["alternating"] < prices["noisy"] < prices["biased"]
 
 # %% [markdown]
-# Their mean squares are equal, their costs are not. Notebook 2 makes this precise.
-#
 # ## Which model at which step?
 #
-# Now the paper's question. For the boat a small model errs by $+0.4$ at every step and is free; a
-# medium one errs by $+0.15$ and costs 0.1 a step; a large one is right and costs 0.3. These
-# schedules make errors and models together cheapest (first number: in total; second: the best
-# single model):
+# For the boat a small model errs by 0.4 at every step and is free, a medium one errs by 0.15 and
+# costs 0.1 a step, a large one is right and costs 0.3. The cheapest schedules, errors and models
+# together (first number: the total; second: the best single model's):
 
 # %%
 errors = np.tile([[0.4], [0.15], [0.0]], (H, 1, 1))  # (H, W, p): small, medium, large
@@ -312,13 +298,11 @@ for name in ("open_loop", "preview", "causal"):
     assert best.is_optimal
 
 # %% [markdown]
-# The answer depends on the pattern. Open loop buys better estimates at seven steps only, and pays
-# less than half of what its best single model costs.
+# The answer depends on the pattern.
 #
-# **In one paragraph.** A wrong belief puts a command off: about the state (memory), this input
-# (now) or later ones (foresight). What all commands pay adds up to $e^\top \Psi e$. $\Psi$ is dense
-# with a forecast or a memory of earlier errors, block diagonal without. Its signs say which errors
-# cancel. Next: what of a random error does $\Psi$ feel?
+# **In one paragraph.** Wrong beliefs about the state (memory), this input (now) and later ones
+# (foresight) put commands off. $e^\top \Psi e$ is what all commands pay. By memory and foresight
+# steps meet, and the signs of $\Psi$ say which errors cancel.
 #
 # ## Recall
 #
@@ -396,7 +380,8 @@ for task in (replace(boat, horizon=8), plane):
     answer = mpc_regret(task, wrong)
     assert answer is not None and np.ndim(answer) == 0, "Exercise 2: return a number"
     assert np.isclose(answer, J - true), (
-        f"Exercise 2: a roll-out finds {J - true:.4f}, you {answer:.4f}; which errors does step t pay for?"
+        f"Exercise 2: a roll-out finds {J - true:.4f}, you {answer:.4f}; "
+        "which errors does step t pay for?"
     )
 print("Exercise 2: right")
 
