@@ -3,25 +3,22 @@
 #
 # **After this notebook you can**
 #
-# - derive the price of an error for two steps with pencil and paper;
-# - build the matrix $\Psi$ of a controller from three answers: what does it remember, use now,
-#   foresee?
-# - read $\Psi$: its diagonal, its signs, its blocks;
+# - price the errors of two steps with pencil and paper;
+# - build a controller's matrix $\Psi$ from three answers: what does it remember, use now, foresee?
 # - say why the same errors cost another controller more, or nothing.
 #
 # **Covers** `eq:dynamics`, `eq:jc`, `eq:relCtrlCost`, `eq:control_cost_diff`,
 # `prob:model_selection_naive`, `prob:model_selection`, `fig:one`.
 #
-# These notebooks follow *Dynamic Selection of Perception Models for Robotic Control* (Ghosh and
-# others). A robot with $n$ states, $m$ commands and $p$ perception inputs moves $H$ steps and pays:
+# These notebooks follow *Dynamic Selection of Perception Models for Robotic Control* (its errata:
+# [paper.md](paper.md)). A robot with state $x$ and commands $u$ moves $H$ steps and pays:
 #
 # $$x_{t+1} = A x_t + B u_t + C s_t, \qquad
 # J = \sum_{t=1}^{H-1} x_t^\top Q x_t + x_H^\top Q_f x_H + \sum_{t=0}^{H-1} u_t^\top R u_t .$$
 #
-# (`eq:jc` prints $x_{H-1}$ for $x_H$; all errata are in [paper.md](paper.md).) It never sees $s$:
-# wind, waves, a slope. A perception model tells it $\hat s = s + e$. Larger models err less and
-# cost more. **The question**: which model should run at which step, so that errors and models
-# together cost least? This notebook finds what errors cost.
+# It never sees $s$: wind, waves, a slope. A perception model tells it $\hat s = s + e$. Larger
+# models err less and cost more. **The question**: which model should run at which step? This
+# notebook finds what errors cost.
 
 # %%
 from dataclasses import replace
@@ -70,76 +67,71 @@ plt.show()
 # %% [markdown]
 # ## Two steps by hand
 #
-# Take $x_{t+1} = x_t + u_t + s_t$ and $J = x_2^2 + u_0^2 + u_1^2$. **Regret** is, here and
-# throughout, $J$ fed $s + e$ less $J$ of the *same controller* fed $s$.
+# Take $x_{t+1} = x_t + u_t + s_t$ and $J = x_2^2 + u_0^2 + u_1^2$. Start from the end.
 #
-# **Plan once.** Left alone the robot would end at $z = x_0 + s_0 + s_1$. The best plan is $u_0 =
-# u_1 = -z/3$, and $J = z^2/3$. Fed $\hat s$ it believes in $z + \varepsilon$, $\varepsilon = e_0 +
-# e_1$:
+# - The best last command is $u_1 = -\frac12 (x_1 + s_1)$. Off by $v$, it costs $2v^2$ more.
+# - The best first one, if that follows, is $u_0 = -\frac13 (x_0 + s_0 + s_1)$. Off by $v$, it costs
+#   $\frac32 v^2$ more.
 #
-# $$J = \frac{(z - 2\varepsilon)^2 + 2(z + \varepsilon)^2}{9} = \frac{z^2}{3} +
-# \frac23 \varepsilon^2 .$$
+# Now $s$ is estimated with errors $e_0$ and $e_1$. The first command is off by $\frac13 (e_0 +
+# e_1)$, up to its sign. The second depends on the controller:
 #
-# So the regret is $\frac23 (e_0 + e_1)^2$, whatever $x_0$ and $s$ are. We write it $e^\top \Psi e$,
-# with all errors in one column $e$; here each entry of the matrix $\Psi$ is $\frac23$. Errors
-# $(1, -1)$ cost nothing. (`eq:relCtrlCost`, $J(u^*) < J(\hat u)$ for the commands from $s$ and from
-# $\hat s$, should allow equality.)
+# - `preview` looks at $x_1$ before. Only $e_1$ misleads it: it is off by $\frac12 e_1$.
+# - `open_loop` plans once, for an $x_1$ that is wrong by $e_0$: it is off by $\frac12 (e_0 + e_1)$.
 #
-# **Look on the way.** Before $u_1$ let it see $x_1$, and believe $\hat s_1$ as before: $u_1 =
-# -(x_1 + \hat s_1)/2$. **Predict** what $(1, -1)$ costs now.
+# In all the errors cost
+#
+# $$\text{preview: } \tfrac16 (e_0 + e_1)^2 + \tfrac12 e_1^2, \qquad
+# \text{open\_loop: } \tfrac23 (e_0 + e_1)^2 .$$
+#
+# **Predict** what $(1, -1)$ costs each. We fly both, and print the **regret**: here and throughout,
+# the cost fed $s + e$ less the cost of the *same controller* fed $s$.
 
 
 # %% tags=["hide-input"]
-def cost(x0, s, s_hat, looks):
+def cost(x0, s, s_hat, information):
     """Return J of the robot, in fractions."""
     u0 = -Fraction(x0 + sum(s_hat)) / 3
     x1 = x0 + u0 + s[0]
-    u1 = -Fraction(x1 + s_hat[1]) / 2 if looks else u0
+    believed = {"preview": x1, "open_loop": x0 + u0 + s_hat[0]}[information]
+    u1 = -Fraction(believed + s_hat[1]) / 2
     return (x1 + u1 + s[1]) ** 2 + u0**2 + u1**2
 
 
-for looks in (False, True):
-    regret = cost(1, (1, 1), (2, 0), looks) - cost(1, (1, 1), (1, 1), looks)
-    print(f"looks: {looks}, regret {regret}")
+for information in ("preview", "open_loop"):
+    fed, true = (cost(1, (1, 1), s_hat, information) for s_hat in ((2, 0), (1, 1)))
+    print(f"{information:9} regret {fed - true}")
 
 # %% [markdown]
-# Half. In the plan the two errors undo each other. Feedback sees $x_1$, which repairs what it
-# believed of $s_0$, and then believes the second error alone. So $\Psi$ depends on **what the controller knows, and when**.
+# In the plan the two errors undo each other. Looking repairs what the first one did, and then the
+# second stands alone. So the price depends on **what the controller knows, and when**. We write it
+# $e^\top \Psi e$, with all errors in one column $e$.
 #
 # ## Any robot: three answers
 #
-# **What a command costs.** From $P_H = Q_f$ backwards, the Riccati recursion of LQR finds for each
-# step $S_t = R + B^\top P_{t+1} B$, a gain $K_t = S_t^{-1} B^\top P_{t+1} A$ and $P_t = Q + A^\top
-# P_{t+1} (A - BK_t)$. Completing the square, for *any* commands,
+# LQR finds the same for any robot. The best command is, up to its sign, a gain $K_t$ times the
+# state, plus gains $F_{tk}$ times the inputs of this step and of later ones. One that is off by $v$
+# costs $v^\top S_t v$ more. (Above, $F_{01} = \frac13$ and $S_0 = \frac32$.)
 #
-# $$J = \mathrm{const} + \sum_t (u_t - u_t^*)^\top S_t (u_t - u_t^*), \qquad
-# u_t^* = -S_t^{-1} B^\top \big(P_{t+1} (A x_t + C s_t) + q_{t+1}\big).$$
+# A controller puts its *beliefs* in the place of state and inputs. So its command is off by the
+# same gains times its errors, and all steps together pay $e^\top \Psi e$:
 #
-# The costate $q$ is what later inputs ask for: $q_H = 0$, $q_t = (A - BK_t)^\top (P_{t+1} C s_t +
-# q_{t+1})$.
+# $$v_t = \underbrace{K_t m_t}_{\text{memory}} + \underbrace{F_{tt} e_t}_{\text{now}} +
+# \underbrace{F_{t,t+1} e_{t+1} + \dots}_{\text{foresight}}, \qquad
+# e^\top \Psi e = \sum_t v_t^\top S_t v_t .$$
 #
-# **What a controller gets wrong.** Each uses the formula of $u_t^*$ with what it *believes*. So its
-# command is off by three wrong beliefs at most: of its state, by $m_t$ (memory); of this input, by
-# $C e_t$ (now); of later ones, by $q(e)$, the recursion fed $e$ in place of $s$ (foresight). With
-# $S_t = G_t G_t^\top$,
+# | pattern | memory $m_t$: its error about $x_t$ | now | foresight |
+# |---|---|---|---|
+# | `open_loop`: an arm replays its plan | $m_{t+1} = A m_t + C e_t$, from 0 | yes | yes |
+# | `preview`: a car sees the road ahead | 0: it looks | yes | yes |
+# | `causal`: a drone senses the wind | 0: it looks | yes | no |
+# | `measurement`: a drone reads its altitude off pictures | $C e_t$: it misreads | no | no |
+# | `filter`: most robots (notebook 7) | what an observer remembers | no | no |
 #
-# $$e^\top \Psi e = \sum_t |\mathrm{row}_t\, e|^2, \qquad \mathrm{row}_t\, e = G_t^{-1} B^\top
-# \big(P_{t+1} (A m_t + C e_t) + q_{t+1}(e)\big).$$
+# In the last two rows the models measure the state, and $s$ pushes unseen.
 #
-# The table says which parts a controller has; a part that it lacks is 0. (Without foresight, even
-# right beliefs miss $u_t^*$. Then $e^\top \Psi e$ is the regret on average only: see *Fly it*.)
-#
-# | pattern | memory $m_t$ | now $C e_t$ | foresight $q(e)$ | a robot |
-# |---|---|---|---|---|
-# | `open_loop` | past: $m_0 = 0$, $m_{t+1} = A m_t + C e_t$ | yes | yes | an arm replays its plan |
-# | `preview` | 0: it sees $x_t$ | yes | yes | a car sees the road ahead |
-# | `causal` | 0: it sees $x_t$ | yes | 0 | a drone senses the wind of now |
-# | `measurement` | $C e_t$: it misreads $x_t$ | 0 | 0 | a drone reads its altitude off a picture |
-# | `filter` | what an observer remembers | 0 | 0 | most robots (notebook 7) |
-#
-# (In the last two rows $s$ pushes unseen; models measure the part of the state on which $C$ acts,
-# wrong by $C e$.) In code each row is a matrix, (m, pH), that multiplies $e$. Stacked they are $Y$,
-# and $\Psi = Y^\top Y$; `closed_loop` holds $A - BK_t$:
+# In code each quantity is a matrix that multiplies $e$. `riccati` is LQR's recursion; `q` is what
+# later inputs ask for, carried back step by step:
 
 # %%
 TABLE = {  # memory, now, foresight
@@ -150,46 +142,44 @@ TABLE = {  # memory, now, foresight
 }
 
 
-def rows(task, information):
-    """Return Y (mH, pH); each column is what a unit error does."""
-    (memory, now, foresight), law, H = TABLE[information], ms.riccati(task), task.horizon
-    Ce = task.C @ np.eye(task.p * H).reshape(H, task.p, -1)  # (H, n, pH)
-    q, past, Y = np.zeros((H + 1, *Ce[0].shape)), 0 * Ce[0], []
+def psi_by_step(task, information):
+    """Return (H, pH, pH): e' psi_by_step[t] e is what step t pays; their sum is Psi."""
+    (memory, now, foresight), H = TABLE[information], task.horizon
+    law = ms.riccati(task)  # P: what a state costs; K; S = R + B'PB; closed_loop = A - BK
+    Ce = task.C @ np.eye(task.p * H).reshape(H, task.p, -1)
+    past = [0 * Ce[0]]
+    for t in range(H - 1):
+        past.append(task.A @ past[t] + Ce[t])
+    m = {"past": past, "none": 0 * Ce, "misread": Ce}[memory]
+    pays, q = [], 0
     for t in reversed(range(H)):
-        q[t] = foresight * law.closed_loop[t].T @ (law.P[t + 1] @ Ce[t] + q[t + 1])
-    for t in range(H):
-        m = {"past": past, "none": 0 * past, "misread": Ce[t]}[memory]
-        wrong = law.P[t + 1] @ (task.A @ m + now * Ce[t]) + q[t + 1]
-        Y.append(np.linalg.solve(np.linalg.cholesky(law.S[t]), task.B.T @ wrong))
-        past = task.A @ past + Ce[t]
-    return np.concatenate(Y)
+        push = law.P[t + 1] @ Ce[t]
+        told = task.B.T @ (now * push + foresight * q)
+        v = law.K[t] @ m[t] + np.linalg.solve(law.S[t], told)  # the last term: all those with F
+        pays.insert(0, v.T @ law.S[t] @ v)
+        q = law.closed_loop[t].T @ (push + q)
+    return np.array(pays)
 
 
 # %% tags=["hide-input"]
 two = ms.ControlTask([[1]], [[1]], [[1]], [[0]], [[1]], horizon=2, Q_final=[[1]])
 for information in TABLE:
-    Y = rows(two, information)
-    print(f"{information:12} 6 Psi = {(6 * Y.T @ Y).round(6).tolist()}")
-    np.testing.assert_allclose(Y.T @ Y, ms.psi(two, information))
+    Psi = psi_by_step(two, information).sum(axis=0)
+    print(f"{information:12} 6 Psi = {(6 * Psi).round(6).tolist()}")
+    np.testing.assert_allclose(Psi, ms.psi(two, information))
 
 # %% [markdown]
-# `open_loop` is $\frac23$ throughout, as by hand. `preview` has $P_2 = 1$, $S_1 = 2$, $P_1 = A -
-# BK_1 = \frac12$, $S_0 = \frac32$, and pays $\frac12 e_1^2 + \frac23 (\frac12 e_0 + \frac12
-# e_1)^2$: a half for $(1, -1)$. The last two agree because $AC = C$ here.
+# The paper states the policy `preview` and takes $\Psi$ from a source on `open_loop`. Take the $\Psi$ of the
+# controller that runs.
 #
-# **The paper** states the policy `preview` in its section II and takes $\Psi$ from a source that
-# plans once: `open_loop`. Either is sound; take the $\Psi$ of the controller that runs.
-#
-# **A forecast refreshed at every step** (MPC) is the commonest of all and needs no line of its own.
-# Step $t$ acts on the forecast made at $t$, with errors $e^{(t)}$, and pays $|\mathrm{row}_t\,
-# e^{(t)}|^2$ of `preview`. No later step uses that forecast, so steps decouple (exercise 2).
+# **A forecast refreshed at every step** (MPC) is common. Step $t$ pays what it pays
+# under `preview`, for the errors of the forecast made at $t$. No later step uses that forecast. So
+# steps decouple.
 #
 # ## Fly it
 #
-# A boat holds its place for 40 steps of 0.2 s; its state is offset and speed. Waves carry it at
-# $s_t$ (m/s), a mooring pulls it back, a thruster pushes. Offset and thrust are charged ($Q_f = Q$
-# unless told). We feed it the same errors $e$ in 1000 random seas and in their mirror images, so
-# that the mean sea is 0; `regrets` flies each sea twice, fed $s + e$ and fed $s$:
+# A boat holds its place against waves for 40 steps; offset and thrust cost. It gets the same errors
+# in 1000 random seas and in their mirror images:
 
 # %% tags=["hide-input"]
 dt, H, rng = 0.2, 40, np.random.default_rng(1)
@@ -205,34 +195,30 @@ def regrets(task, x0, s, e, information):
     return ms.control_cost(task, *fed) - ms.control_cost(task, *true)
 
 
-# %%
 e, seas = rng.normal(size=(H, 1)), rng.normal(size=(1000, H, 1))
 seas = np.concatenate([seas, -seas])
 for information in TABLE:
-    price = ((rows(boat, information) @ e) ** 2).sum()
+    price = (e.T @ psi_by_step(boat, information) @ e).sum()
     found = regrets(boat, [1, 0], seas, e + 0 * seas, information)
     span = f"{found.min():6.3f} to {found.max():6.3f}, mean {found.mean():6.3f}"
     print(f"{information:12} e'Psi e = {price:6.3f}; regrets {span}")
     np.testing.assert_allclose(found.mean(), price)
 
 # %% [markdown]
-# With a right forecast (`open_loop`, `preview`) the commands are $u^*$, so $e^\top \Psi e$ is exact
-# in every sea. Without one even right beliefs miss $u^*$, and an error may happen to help. If $s$
-# has the mean that the controller expects, 0, and is independent of $e$, this averages out:
-# $e^\top \Psi e$ is exact **in expectation**.
+# With a forecast $e^\top \Psi e$ is exact in every sea. Without one even right beliefs miss later
+# waves, and an error may happen to help. Where $s$ has mean 0 and is independent of $e$, this
+# averages out: $e^\top \Psi e$ is exact **in expectation**.
 #
 # ## Reading $\Psi$
 #
-# $e^\top \Psi e = \sum_{t,k} e_t^\top \Psi_{tk} e_k$. Each $\Psi_{tk}$ is a $p \times p$ block, here
-# a number. $\Psi_{tt}$ is what an error of 1 at step $t$ costs alone; $2\Psi_{tk} e_t e_k$ what two
-# cost *together*, beyond that. Red: errors of one sign make each other dearer, opposite ones
-# cancel. Blue: the other way round. Below: what each step pays, $|\mathrm{row}_t\, e|^2$, if the
-# estimate of step 20 is wrong by 1.
+# $\Psi_{tt}$ is what an error of 1 at step $t$ costs alone; $2\Psi_{tk}$ what errors of 1 at two
+# steps cost *together*, beyond that. Red: errors of one sign make each other dearer. Blue: they
+# cancel, in part. Below: what each step pays if only the estimate of step 20 is wrong, by 1.
 
 # %% alt="Three columns. Causal: the matrix Psi is a diagonal, and of an error at step 20 step 20 alone pays, 0.025. Preview: a narrow red band; steps up to 20 pay, most from step 13 on, and none after, 0.139 in all. Open loop: a wide red diagonal stripe with a blue, negative one some 15 steps off it; the same steps pay as under preview, and then again until the end, 0.388 in all." tags=["hide-input"]
 figure, panels = plt.subplots(2, 3, sharex=True, sharey="row", figsize=(13, 7.4))
 words = {"causal": "now", "preview": "now, foresight", "open_loop": "now, foresight, memory"}
-bills = {information: rows(boat, information)[:, 20] ** 2 for information in words}
+bills = {information: psi_by_step(boat, information)[:, 20, 20] for information in words}
 for (top, bottom), (information, bill) in zip(panels.T, bills.items(), strict=True):
     Psi = ms.psi(boat, information)
     largest = np.abs(Psi).max()
@@ -249,13 +235,12 @@ np.testing.assert_allclose(bills["open_loop"][:21], bills["preview"][:21])
 assert not bills["preview"][21:].any() and not np.delete(bills["causal"], 20).any()
 
 # %% [markdown]
-# Preview *braces* beforehand for a wave that will not come. The bracing of two errors overlaps: the
-# band. Open loop also believes itself elsewhere afterwards, and the boat swings: errors of one
-# sign, half a swing apart, cancel. `measurement` is a diagonal, as `causal`.
+# Preview *braces* beforehand for a wave that will not come, and the bracing of two errors overlaps:
+# the band. Open loop also believes itself elsewhere afterwards.
 #
 # So one error alone costs `causal` least and `open_loop` most, for every robot. *Two* errors need
-# not: $(1, -1)$ cost feedback more. `measurement` has no place in this order, and late errors are
-# not always cheap. One state, 20 steps, all matrices 1 unless told:
+# not. `measurement` has no place in this order, and late errors are not always cheap. One state, 20
+# steps, all matrices 1 unless told:
 
 
 # %% tags=["hide-input"]
@@ -273,8 +258,8 @@ for Q_final in (1, 100):
 # %% [markdown]
 # ## Three models of equal mean square
 #
-# The same robot, $A = 1$ (`scalar()`), plans once, which `ms.psi` assumes unless told. No input
-# comes, but it is fed $+1$ always, or random signs, or $+1, -1, \dots$:
+# This robot, all matrices 1, plans once. No input comes, but models report +1 always, or random
+# signs, or +1 and -1 in turn:
 
 # %% alt="Positions over 20 steps of a robot that plans once, fed errors of size 1. The biased model makes it drift away in a straight line to about -20. Thirty runs with random signs wander apart in a fan, up to 10 from zero. With alternating signs it stays within 1 of zero. The legend gives their mean regrets." tags=["hide-input"]
 fans = {
@@ -296,33 +281,34 @@ plt.show()
 assert prices["alternating"] < prices["noisy"] < prices["biased"]
 
 # %% [markdown]
-# Notebook 2 makes this precise. Now the paper's question, for the boat: a small model errs by
-# $+0.4$ at every step and is free, a medium one by $+0.15$ at 0.1 a step, a large one by 0 at 0.3.
-# The total, $e^\top \Psi e$ plus prices, is least for these schedules (first number: that total;
-# second: the best single model's; `0 * errors`: no variance, these errors are known):
+# ## Which model at which step?
+#
+# For the boat a small model errs by 0.4 at every step and is free, a medium one errs by 0.15 and
+# costs 0.1 a step, a large one is right and costs 0.3. The cheapest schedules, errors and models
+# together (first number: the total; second: the best single model's):
 
 # %%
 errors = np.tile([[0.4], [0.15], [0.0]], (H, 1, 1))  # (H, W, p): small, medium, large
 for name in ("open_loop", "preview", "causal"):
-    problem = ms.SelectionProblem(ms.psi(boat, name), errors, 0 * errors, model_cost=[0, 0.1, 0.3])
+    problem = ms.SelectionProblem(
+        ms.psi(boat, name), mean=errors, variance=0 * errors, model_cost=[0, 0.1, 0.3]
+    )
     best, single = ms.solve(problem), problem.total_cost(np.arange(3)[:, None] + [0] * H).min()
     print(f"{name:9}", "".join("sml"[w] for w in best.choices), f"{best.cost:.2f}, {single:.2f}")
     assert best.is_optimal
 
 # %% [markdown]
-# The answer depends on the pattern. Open loop buys better estimates at seven steps only, and pays
-# less than half of what its best single model costs.
+# The answer depends on the pattern.
 #
-# **In one paragraph.** Regret is a sum over steps of what wrong beliefs do to each command: beliefs
-# about the state (memory), this input (now), later ones (foresight). These three answers make
-# $\Psi$: dense with a forecast or a memory of earlier errors, block diagonal without. Its signs say
-# which errors cancel. Next: what of a random error does $\Psi$ feel?
+# **In one paragraph.** Wrong beliefs about the state (memory), this input (now) and later ones
+# (foresight) put commands off. $e^\top \Psi e$ is what all commands pay. By memory and foresight
+# steps meet, and the signs of $\Psi$ say which errors cancel.
 #
 # ## Recall
 #
 # <details><summary>Under preview or open_loop, why has the regret no term of first order in e?</summary>
 #
-# A right forecast gives $u^*$, the minimum, whatever $s$ and $x_0$ are; there the slope is 0.
+# A right forecast gives the best commands. Off by $v$, each adds a square.
 #
 # </details>
 # <details><summary>Which patterns let errors of two steps meet, and through what?</summary>
@@ -343,7 +329,8 @@ for name in ("open_loop", "preview", "causal"):
 #
 # $x_{t+1} = x_t + u_t + s_t$, $J = x_H^2 + r \sum_t u_t^2$, planned once. Show that the regret is
 # a number times $(e_0 + \dots + e_{H-1})^2$, and return this number as an exact fraction. ($H = 2$,
-# $r = 1$: $\frac23$.)
+# $r = 1$: $\frac23$. All commands of the plan are equal; without them the robot would end at $z =
+# x_0 + s_0 + \dots + s_{H-1}$.)
 
 
 # %% tags=["exercise"]
@@ -370,7 +357,7 @@ print("Exercise 1: right")
 #
 # Write `mpc_regret(task, forecasts)`: `forecasts[t, k]` (H, H, p) is the error, in the forecast
 # made at step $t$, of $s_k$. (Entries with $k < t$ are of the past and used by nobody.) First by
-# `rows`; then, with pencil: what is $\Psi$ if all forecasts are one and the same?
+# `psi_by_step`; then, with pencil: what is the regret if all forecasts are one and the same?
 
 
 # %% tags=["exercise"]
@@ -393,7 +380,8 @@ for task in (replace(boat, horizon=8), plane):
     answer = mpc_regret(task, wrong)
     assert answer is not None and np.ndim(answer) == 0, "Exercise 2: return a number"
     assert np.isclose(answer, J - true), (
-        f"Exercise 2: a roll-out finds {J - true:.4f}, you {answer:.4f}; step t owns m rows of Y"
+        f"Exercise 2: a roll-out finds {J - true:.4f}, you {answer:.4f}; "
+        "which errors does step t pay for?"
     )
 print("Exercise 2: right")
 

@@ -16,17 +16,16 @@ def gain(horizon, price):
 # %% [markdown]
 # ## Exercise 2
 #
-# Step $t$ owns rows $tm$ to $tm + m - 1$ of preview's $Y$, and multiplies them with its own
-# forecast's errors. Their entries for $k < t$ are 0: nobody uses a forecast of the past. If all
-# forecasts are the same, the sum is $|Ye|^2$, preview's $e^\top \Psi e$.
+# Step $t$ pays what it pays under preview, for the errors of its own forecast. There the rows and
+# columns of $k < t$ are 0: nobody uses a forecast of the past. If all forecasts are the same, the
+# sum is preview's $e^\top \Psi e$.
 
 
 # %%
 def mpc_regret(task, forecasts):
     """Return the regret of a controller that plans anew from each step's own forecast."""
-    H, m = task.horizon, task.m
-    Y = rows(task, "preview").reshape(H, m, -1)
-    return (np.einsum("tmk,tk->tm", Y, forecasts.reshape(H, -1)) ** 2).sum()
+    errors = forecasts.reshape(task.horizon, -1)
+    return sum(e @ pays @ e for e, pays in zip(errors, psi_by_step(task, "preview"), strict=True))
 
 
 # %% [markdown]
