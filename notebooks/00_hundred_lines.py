@@ -3,8 +3,8 @@
 #
 # **After this notebook you can**
 #
-# - go from a robot's $A$, $B$, $C$ to a schedule of perception models with a proof;
-# - read the sensitivity $\Psi$ of five kinds of controllers off one formula, and say which is yours;
+# - go from a robot's $A, B, C$ to a schedule of perception models with a proof;
+# - say which of five kinds of controllers is yours;
 # - change the hundred lines, and know what stays proved.
 #
 # **Covers** `eq:dynamics`, `eq:control_cost_diff`, `prob:model_selection_expectation`,
@@ -12,30 +12,27 @@
 #
 # A robot follows $x_{t+1} = A x_t + B u_t + C s_t$ and pays $x^\top Q x + u^\top R u$ at each
 # step. A perception model tells it $\hat s_t = s_t + e_t$; large models err less and cost more.
-# **Which model should run at which step?** The answer in NumPy alone. Skim it now; notebooks 1 to 4
-# say why each line is true.
+# **Which model should run at which step?** The answer in NumPy alone; notebooks 1 to 4 say why it
+# is true. Skim now, come back later.
 #
 # ## Two steps by hand
 #
-# All matrices are 1, $H = 2$; the robot sees its state and acts on a forecast of all later $s$
-# (`preview`). Model b0 is free and errs by $1$; b1 costs 0.2 and errs by $-0.5$.
+# All matrices are 1. The robot sees its state and acts on a forecast (`preview`). Model b0 is free
+# and errs by 1; b1 costs 0.2 and errs by -0.5. Each step bears the name of its function.
 #
-# 1. **Riccati**, from the last step: $P_2 = Q = 1$, $S_1 = R + P_2 = 2$, $A - BK_1 = \frac12$;
-#    $P_1 = 1 + \frac12 = \frac32$, $S_0 = \frac52$.
-# 2. **$\Psi$.** A command that is off by $v$ costs $S_t v^2$ more. A wrong $e_1$ puts the last one
-#    off by $\frac12 e_1$: that costs $\frac12 e_1^2$. Half of $e_1$ is also foreseen at step 0, beside
-#    $P_1 e_0$: that costs $\frac25 (\frac32 e_0 + \frac12 e_1)^2$. The sum is $e^\top \Psi e$,
-#    $\Psi = (0.9, 0.3;\ 0.3, 0.6)$.
-# 3. **Costs**: `[0 0]` 2.1, `[0 1]` 0.95, `[1 0]` 0.725, `[1 1]` 0.925. Errors that cancel win.
-# 4. **Bound.** $e^\top \Psi e$ is convex, so it lies above its tangent at any point $d$. Along a
-#    tangent steps do not meet, and each takes its cheapest model. At $d = (\frac2{45}, \frac4{45})$,
-#    which `reference` finds, no schedule is below 0.258.
-# 5. **Search** between 0.258 and 0.725, last step first.
+# 1. `riccati`, from the last step: $P_2, S_1, P_1, S_0 = 1, 2, \frac32, \frac52$. A command that is
+#    off by $v$ costs $S_t v^2$ more.
+# 2. `sensitivity`: the last command is off by $\frac12 e_1$, the first by $(\frac32 e_0 + \frac12
+#    e_1) / \frac52$. Together that costs $e^\top \Psi e$, $\Psi = (0.9, 0.3;\ 0.3, 0.6)$. So the
+#    schedule `[0 0]` costs 2.1, `[0 1]` 0.95, `[1 0]` 0.725, `[1 1]` 0.925. Errors that cancel win.
+# 3. `certificate`: the convex $e^\top \Psi e$ lies above its tangent at any point $d$. `reference`
+#    finds $d = (\frac2{45}, \frac4{45})$. Along this tangent errors cost $2 \Psi d = \frac2{15}$ a
+#    unit at either step. So b0 costs $\frac2{15}$, and b1 the same, $-\frac1{15} + \frac15$. With
+#    the tangent's constant, no schedule is below $2 \cdot \frac2{15} - d^\top \Psi d = 0.258$.
+# 4. `search` between 0.258 and 0.725, last step first.
 #
-# ## The cell
-#
-# `schedule` calls the others. It searches twice, first narrowly: a better schedule leaves less room
-# above the bound. `PATTERNS` says what a controller knows (table in the sheet below).
+# `schedule` does it all, with a narrow search first: a better schedule leaves less room.
+# `PATTERNS` says what the controller knows (see the sheet below).
 
 # %% tags=["copy"]
 import numpy as np
@@ -62,7 +59,7 @@ def riccati(A, B, Q, R, H):
 
 
 def sensitivity(A, B, C, Q, R, H, pattern, gain=0):
-    """Psi = Y'Y; row t of Y is G_t^{-1} B'(P_{t+1}(A m_t + C e_t) + q_{t+1}), S_t = G_t G_t'."""
+    """Psi = Y'Y; row_t e = G_t^{-1} B'(P_{t+1}(A m_t + C e_t) + q_{t+1}), with S_t = G_t G_t'."""
     memory, told, foresight = PATTERNS[pattern]
     steps, (n, p) = riccati(A, B, Q, R, H), C.shape
     Ce = C @ np.eye(p * H).reshape(H, p, p * H)  # each column: an error of 1 at one step
@@ -150,8 +147,7 @@ print(c, f"costs {cost:.3f}, bound {bound:.3f}")
 assert c.tolist() == [1, 0] and np.isclose(cost, 0.725) and np.isclose(bound, 58 / 225)
 
 # %% [markdown]
-# Now a cart, its offset pushed by what it estimates: 40 steps, three models, errors of known sizes
-# and random signs.
+# A cart, pushed off by what it estimates: 40 steps, three models, errors of random signs.
 
 # %%
 H, dt = 40, 0.1
@@ -167,8 +163,8 @@ print(f"{len(log)} labels in the last search, of {3.0**H:.0e} schedules")
 assert bound < cost < 0.51 * min(single)
 
 # %% [markdown]
-# Half the cost of the best single model: large errors cancel in part. The modules find the same (a
-# test compares all patterns):
+# Half the cost of the best single model. 21 of 40 steps take the free one, whose errors cancel in
+# part. The modules find the same schedule:
 
 # %%
 import landing
@@ -180,11 +176,11 @@ assert answer.is_optimal and (answer.choices == best).all() and np.isclose(answe
 # %% [markdown]
 # ## A picture of the labels
 #
-# A **label** is a partial schedule, from some step to the last: what it costs above the bound
-# ($x$), and its costate $q$, the sum of its errors as earlier steps feel it. Left: the optimum
-# ends with the room, at 1, as the narrow search had found it. Right, a disc for each label of step
-# 15: its radius $\sqrt{\text{room} - x}$ is what earlier steps may add before the label leaves the
-# room. A disc inside another may go: whatever it can still afford, the other can, at no higher cost.
+# A **label** is a partial schedule, from some step to the last. It keeps what it costs above the
+# bound, $x$, and its costate $q$: its errors as earlier steps feel them. Left, above 1 there is no
+# room. Right, a disc for each label of step 15, around its costate, the smaller the less room is
+# left. A disc inside another may go: whatever it can still afford, the other can, at no higher
+# cost.
 
 # %% alt="Left, labels by step, from step 39 to step 0, at the height of their extra cost over the room: at most 29 dots a step are kept, crosses are dropped, all above 1 among them; the line of the optimum climbs from 0 to 1. Right, the discs of step 15 in the plane of costates: 14 kept ones overlap in a long cloud, each filled grey one lies inside a kept one; the optimum's is orange." tags=["hide-input"]
 import matplotlib.pyplot as plt
@@ -217,58 +213,54 @@ plt.show()
 
 # %% [markdown]
 # **In one paragraph.** A backward sweep gives the controller, one formula its sensitivity to wrong
-# beliefs, any reference point a bound. A search from the last step fills the room above it.
+# beliefs, any reference point a bound that three lines prove. A search from the last step fills the
+# room above it; its word you can repeat, but not check at a glance (notebook 3).
 #
 # ## The sheet
 #
 # | symbol | meaning |
 # |---|---|
-# | $H$, $W$, $n$, $p$ | steps; models; numbers in a state, in a perception input |
-# | $A$, $B$, $C$, $Q$, $R$ | $x_{t+1} = Ax_t + Bu_t + Cs_t$, $J = \sum x^\top Qx + u^\top Ru$ |
-# | $P_t$, $S_t = G_t G_t^\top$, $K_t$ | cost-to-go; $R + B^\top P_{t+1} B$; the controller's gain |
-# | $s$, $\hat s$, $e = \hat s - s$ | perception input, its estimate, its error |
-# | $\mu_{tw}$, $V_{tw}$, $\kappa_w$ | mean and covariance of model $w$'s error at step $t$; its price |
-# | $c$, $\mu_c$ | a schedule: the model of each step; its mean errors |
-# | $\Psi$ | errors cost $e^\top \Psi e$; $(pH, pH)$ |
-# | $\ell_{tw}$ | $\mathrm{tr}(\Psi_{tt} V_{tw}) + \kappa_w$ (weights $\alpha$, $\beta$ left out) |
+# | $H, W, n, p$ | steps; models; numbers in a state, in a perception input |
+# | $A, B, C, Q, R$ | $x_{t+1} = Ax_t + Bu_t + Cs_t$, $J = \sum x^\top Qx + u^\top Ru$ |
+# | $P_t, K_t$ | cost-to-go, gain of the controller |
+# | $S_t = G_t G_t^\top$ | what a wrong command costs: $R + B^\top P_{t+1} B$ |
+# | $s, \hat s, e$ | perception input, its estimate, its error $\hat s - s$ |
+# | $\mu_{tw}, V_{tw}, \kappa_w$ | mean and covariance of model $w$'s error at step $t$; its price |
 #
-# **The objective.** $\mathrm{total}(c) = \mu_c^\top \Psi \mu_c + \sum_t \ell_{t,c_t}$, if errors of
-# different steps are independent.
-#
-# **Five patterns, one formula.** $e^\top \Psi e = \sum_t |\mathrm{row}_t\, e|^2$, $\mathrm{row}_t\, e =
-# G_t^{-1} B^\top (P_{t+1}(A m_t + C e_t) + q_{t+1})$. $C e_t$ stands where "now" says yes; foresight
-# is $q_t = (A - BK_t)^\top (P_{t+1} C e_t + q_{t+1})$, else $q = 0$; $m_t$ is the error of the state
-# that the controller believes. In the last two rows models measure the state, wrong by $C e_t$, and
-# $s$ is an unknown push of mean 0. ($C^+$: pseudo-inverse; $\Gamma$: the observer's gains.)
-#
-# | pattern | memory | now | foresight | $\Psi$ |
-# |---|---|---|---|---|
-# | `open_loop` | $m_{t+1} = Am_t + Ce_t$ | yes | yes | dense |
-# | `preview` | 0 | yes | yes | dense |
-# | `causal` | 0 | yes | no | block diagonal |
-# | `measurement` | $Ce_t$ | no | no | block diagonal |
-# | `filter` | $(I - \Gamma C^+) A m_{t-1} + \Gamma e_t$ | no | no | dense |
+# **The objective.** A schedule $c$ of mean errors $\mu_c$ has $\mathrm{total}(c) = \mu_c^\top \Psi
+# \mu_c + \sum_t \ell_{t,c_t}$, with $\ell_{tw} = \mathrm{tr}(\Psi_{tt} V_{tw}) + \kappa_w$ (weights
+# left out). Independence across steps is assumed: means couple steps, variances do not.
 #
 # **Which pattern is my robot?**
 #
-# 1. Models measure the *state* (position from a picture). Fed back as it is: `measurement`;
-#    through an observer of gains $\Gamma$: `filter`.
-# 2. Models estimate an *input* (wind, waves, load) of this step only: `causal`.
-# 3. They forecast it, once. The controller looks at its true state on the way: `preview`; it
-#    never looks: `open_loop`.
-# 4. They forecast it anew at every step (MPC): steps decouple, as in `causal` (notebook 1).
+# | models give | the controller | pattern | memory $m_t$ | now, foresight |
+# |---|---|---|---|---|
+# | a forecast, once | never looks again | `open_loop` | $Am_{t-1} + Ce_{t-1}$ | yes, yes |
+# | a forecast, once | sees its state | `preview` | 0 | yes, yes |
+# | this step's input | sees its state | `causal` | 0 | yes, no |
+# | the state | feeds it back | `measurement` | $Ce_t$ | no, no |
+# | the state | runs an observer | `filter` | $(I - \Gamma C^+) A m_{t-1} + \Gamma e_t$ | no, no |
 #
-# Block diagonal: take the cheapest model of each step. Dense: search.
+# Under `causal` and `measurement` steps decouple: take the cheapest model of each. So they do if
+# the forecast is made anew at every step (MPC, notebook 1). Otherwise search.
 #
-# **The certificate.** For every $d$, with the costs along a tangent $G_{tw} = 2\mu_{tw}^\top (\Psi
-# d)_t + \ell_{tw}$ (not the $G_t$ of $S_t$) and $r_{tw} = G_{tw} - \min_v G_{tv}$,
+# **One formula.** $e^\top \Psi e = \sum_t |\mathrm{row}_t\, e|^2$ with $\mathrm{row}_t\, e =
+# G_t^{-1} B^\top (P_{t+1}(A m_t + C e_t) + q_{t+1}(e))$. The believed state errs by $m_t$ ($C^+$:
+# pseudo-inverse, $\Gamma$: the observer's gains). "Now: no" drops $C e_t$. Foresight is $q_t(e) =
+# (A - BK_t)^\top (P_{t+1} C e_t + q_{t+1}(e))$ from $q_H = 0$, else all 0. If models measure the
+# state, $C e_t$ is the error of what they measure; the rest is known (`measurement`) or estimated
+# (`filter`), and $s$ is an unknown push of mean 0.
+#
+# **The certificate.** For every $d$, with $G_{tw} = 2\mu_{tw}^\top (\Psi d)_t + \ell_{tw}$ and
+# $r_{tw} = G_{tw} - \min_v G_{tv}$,
 #
 # $$\mathrm{total}(c) = \Big[\sum_t \min_w G_{tw} - d^\top \Psi d\Big] + \sum_t r_{t,c_t}
 # + (\mu_c - d)^\top \Psi (\mu_c - d).$$
 #
-# The bracket is a bound. With a schedule at cost $U$ in hand, $\Delta = U - [\cdot]$ is the room: a
-# model with $r_{tw} > \Delta$ is out, and so is a label $j$ for which a label $i$ has $x_i + 2\rho
-# \sqrt{\Delta - x_j} + \rho^2 \le x_j$. ($\rho$: the distance of costates, as earlier steps feel it.)
+# The bracket is a bound. With a schedule at cost $U$ in hand, the room is $\Delta = U - [\cdot]$. A
+# model with $r_{tw} > \Delta$ is out. So is label $j$ if some label $i$ has $x_i + 2\rho
+# \sqrt{\Delta - x_j} + \rho^2 \le x_j$ ($\rho$: the distance of their costates, as earlier steps
+# feel it).
 #
 # ## Recall
 #

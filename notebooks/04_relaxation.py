@@ -3,18 +3,15 @@
 #
 # **After this notebook you can**
 #
-# - relax a choice among models to weights, and say what the relaxed value proves;
-# - stop any method at any iterate, with its duality gap as the certificate;
+# - relax choices to weights, stop at any round, and say what is proved;
 # - explain why gradients crawl on a stiff $\Psi$ and Newton's method does not;
-# - turn weights into a schedule, and say what drawing at random can and cannot do;
-# - tell the polynomial case of the paper (Problem 4) from the NP-hard one, and prove the latter.
+# - turn weights into a schedule;
+# - prove that selection is NP-hard.
 #
 # **Covers** `eq:perEncoding`, `eq:perModelExpCont`, `prob:model_selection_expectation_cont`,
 # `sol:model_selection_expectation_cont`, `thm:psi`, `remark:np_status`.
-#
-# A relaxation answers an easier question and keeps the answer as a bound.
 
-# %%
+# %% tags=["hide-input"]
 from dataclasses import replace
 from itertools import product
 
@@ -32,25 +29,24 @@ BLUE, RED = landing.LOOK["Best Single"]["color"], landing.LOOK["Optimal"]["color
 # ## Two steps, two models, a square
 #
 # The two steps of notebook 0: b0 is free and errs by $1$, b1 costs 0.2 and errs by $-0.5$. Errors
-# $d$ cost $d^\top \Psi d$ in control, with $\Psi = (0.9, 0.3;\ 0.3, 0.6)$. A schedule is a table
-# $b$ of zeros and ones, with one 1 in each row (`eq:perEncoding`). The **relaxation** drops the
-# integers: $b_{tw} \ge 0$, $\sum_w b_{tw} = 1$; errors and prices blend by these weights.
-# **Predict** which weights of b1 are the cheapest.
+# $d$ cost $d^\top \Psi d$ in control, with $\Psi = (0.9, 0.3;\ 0.3, 0.6)$.
+#
+# A schedule is a table of zeros and ones, with one 1 for each step (`eq:perEncoding`). The
+# **relaxation** allows *weights*: fractions, none negative, that add up to 1 at each step. Errors
+# and prices blend by these weights. **Predict** which weights of b1 are the cheapest.
 
 # %%
-one, mean = np.eye(1), np.tile([[1.0], [-0.5]], (2, 1, 1))  # (H, W, p)
+one, mean = np.eye(1), np.tile([[1.0], [-0.5]], (2, 1, 1))  # H steps, W models, p numbers
 cart = ms.ControlTask(one, one, one, one, one, horizon=2)
-# A problem is Psi, mean errors (of H steps, W models, p numbers), noise (none) and prices.
 toy = ms.SelectionProblem(ms.psi(cart, "preview"), mean, 0 * mean, model_cost=[0, 0.2])
 relaxed, best = ms.relax_interior_point(toy, gap=1e-10), ms.enumerate_schedules(toy)
-print(f"weights of b1 {relaxed.weights[:, 1].round(3)}, blended error {relaxed.reference.round(3)}")
-print(f"relaxed {relaxed.value:.3f} < best schedule {best.choices}: {best.cost:.3f}")
-np.testing.assert_allclose(relaxed.reference, [2 / 45, 4 / 45], atol=1e-6)
+print(f"weights of b1 {relaxed.weights[:, 1].round(3)}, cost {relaxed.value:.3f}")
+print(f"best schedule {best.choices}, cost {best.cost:.3f}")
+assert relaxed.value < best.cost
 
 # %% [markdown]
-# By hand: let weight move from b0 to b1. The error $d_t$ falls by 1.5 and the price rises by 0.2
-# for each unit. Inside the square neither way gains, so $2 (\Psi d)_t \cdot 1.5 = 0.2$ at both
-# steps. So $d = (\frac{2}{45}, \frac{4}{45})$: the reference point of notebook 0, and its bound.
+# Each point of the square is a pair of weights; its corners are the four schedules. So its least
+# cost is a **bound**: no schedule costs less than 0.258.
 
 # %% alt="Contours of the relaxed cost over the square of weights: a valley whose lowest point, 0.258, lies inside at (0.64, 0.61). The four corners are the schedules and cost 2.100, 0.950, 0.725 and 0.925, all more." tags=["hide-input"]
 side, corners, blend = np.linspace(0, 1, 101), [*product((0, 1), repeat=2)], ms.BlendProblem(toy)
@@ -68,38 +64,43 @@ figure.colorbar(shades, label="cost", ticks=[0.25, 0.5, 1, 2], format="%.2f")
 plt.show()
 
 # %% [markdown]
-# ## In general, and duality in two lines
+# ## Duality in two lines
 #
-# Let $M = \alpha\Psi$ (here $\alpha = 1$), $\mu_{tw}$ a model's mean error of $p$ numbers, and
-# $\ell_{tw}$ its price and cost of noise (`linear`). The blended error is $d_t = \sum_w b_{tw}
-# \mu_{tw}$. Minimise $f(b) = d^\top M d + \sum_{tw} \ell_{tw} b_{tw}$, a convex quadratic over
-# simplexes.
+# How does one know that nothing is below 0.258? By a tangent. Start at equal weights: $d =
+# (\frac14, \frac14)$, cost 0.331. Replace $d^\top \Psi d$ by its tangent there: one unit of
+# error now costs $2 \Psi d = (0.6, 0.45)$, at any weights. So b0 costs 0.6 at step 0 and 0.45 at
+# step 1; b1 costs $-0.5 \cdot 0.6 + 0.2 = -0.1$ and $-0.025$. The cheapest is b1, twice. With the
+# tangent's constant, $-d^\top \Psi d = -0.131$, that is $-0.256$. A tangent lies below a convex
+# function, so the minimum is between $-0.256$ and 0.331.
 #
-# Notebook 3's identity holds for weights, too. At any point $x$, let $G_{tw} = 2\mu_{tw}^\top
-# (Mx)_t + \ell_{tw}$. The reduced cost $r_{tw} \ge 0$ is its excess over the least of its step:
+# **In general**, let model $w$ at step $t$ have mean error $\mu_{tw}$ and cost $\ell_{tw}$ (price
+# and noise). Weights $b$ blend the errors to $d$ and cost $f(b) = \alpha d^\top \Psi d + \sum_{tw}
+# \ell_{tw} b_{tw}$. Touch at *any* errors $x$:
 #
-# $$f(b) = LB(x) + \sum_{tw} r_{tw} b_{tw} + (d - x)^\top M (d - x), \qquad
-# LB(x) = \sum_t \min_w G_{tw} - x^\top M x .$$
+# $$G_{tw} = 2 \alpha \mu_{tw}^\top (\Psi x)_t + \ell_{tw}, \qquad
+# LB(x) = \sum_t \min_w G_{tw} - \alpha x^\top \Psi x .$$
 #
-# So no $LB$ exceeds $\min f$. At $x = d$ the square vanishes; the sum that is left is the **duality
-# gap** of Frank and Wolfe: how far $f(b)$ can be from the minimum, known without the minimum. So
-# you can stop at any iterate. At the minimum it is 0, as no weight is where $r > 0$ (moving it
-# would gain): **max LB = min f**.
+# 1. $LB(x) \le f(b)$: the tangent is below $f$, and $LB$ is its least value.
+# 2. At the best weights, touched at their own $d$, both are equal: a move that lowered the tangent
+#    would lower $f$ at first, too.
+#
+# So **max LB = min f**. At any weights $f(b) - LB(d)$ is the **duality gap**: $f(b)$ is no further
+# from the minimum, so a method may stop at any round. *Projected gradient* steps down, then to the
+# nearest weights allowed.
 
 
 # %%
 def evaluate(problem, b):
-    """Return value, lower bound and gradient (up to a shift of each row) at weights b; p = 1."""
+    """Return f, LB and G less its least in each row, at weights b (H, W); p = 1."""
     bound, r = ms.reference_bound(problem, (b * problem.mean[:, :, 0]).sum(axis=1))
-    return bound + (r * b).sum(), bound, r
+    return bound + (r * b).sum(), bound, r  # the sum is the gap
 
 
 def gradient(problem, gap, most=30_000):
-    """Descend from equal weights by steps 1 / L and projection, until the gap is small."""
-    mu = problem.mean[:, :, 0]
-    S = np.linalg.norm(mu - mu.mean(axis=1, keepdims=True), axis=1)
-    L = 2 * np.linalg.eigvalsh(S[:, None] * problem.quadratic * S)[-1]  # the largest curvature
-    b = np.full(mu.shape, 1 / mu.shape[1])
+    """Descend from equal weights until the gap is small."""
+    size = np.linalg.norm(problem.mean[:, :, 0], axis=1)
+    L = 2 * np.linalg.eigvalsh(size[:, None] * problem.quadratic * size)[-1]  # largest curvature
+    b = np.full(problem.linear.shape, 1 / problem.linear.shape[1])
     for k in range(most + 1):
         value, bound, r = evaluate(problem, b)
         if value - bound <= gap * value or k == most:
@@ -109,22 +110,17 @@ def gradient(problem, gap, most=30_000):
 
 for most in (0, 1, 2, 10):
     b, value, bound, _ = gradient(toy, 0, most)
-    print(f"round {most:2}: {bound:.4f} <= 0.2578 <= {value:.4f}, weights of b1 {b[:, 1].round(3)}")
+    print(f"round {most:2}: {bound:.4f} <= {value:.4f}, weights of b1 {b[:, 1].round(3)}")
     assert bound <= relaxed.value + 1e-12 <= value + 2e-12
 
 # %% [markdown]
-# (Weights of a step sum to 1, so only differences from its average model count: hence `S`.) The
-# projection, the nearest point of a simplex, is $\max(v - h, 0)$, with one threshold $h$ that makes
-# it sum to 1: for $v = (0.9, 0.5, -0.2)$, $h = 0.2$ and the point is $(0.7, 0.3, 0)$.
-#
 # ## Conditioning
 #
-# A gradient step is as long as the steepest direction allows. Along a flatter one it covers a share
-# of the way, its curvature over $L$. So, for like models at all steps and an optimum inside, rounds
-# grow with $\kappa$, the largest eigenvalue of $\Psi$ over the smallest. (An optimum at a corner
-# takes fewer; where steps differ, `S` counts, too.) Nesterov's momentum (`relax`) makes that about
-# $\sqrt\kappa$. Newton's method (`relax_interior_point`) bends each step by the curvature, for a
-# linear system of size $pH$ a round. Here are 20 steps, two models and a $\Psi$ of each $\kappa$:
+# A gradient step must not overshoot where $f$ is steepest. Where $f$ is flatter, the same step
+# covers only a small share of the way. So rounds may grow with the **condition number** $\kappa$ of
+# $\Psi$, its largest eigenvalue over its smallest. Nesterov's momentum makes that about
+# $\sqrt\kappa$. Newton's method scales each direction by its own curvature, for one linear system a
+# round. Here are 20 steps with the same two models, and an optimum inside:
 
 
 # %% alt="Rounds to a gap of one millionth against the condition number from 1 to 1000, both logarithmic. Plain gradient rises from 1 to some 4,400, with momentum from 1 to about 200, Newton stays between 4 and 5." tags=["hide-input"]
@@ -154,9 +150,9 @@ plt.show()
 # %% [markdown]
 # ## From weights to a schedule
 #
-# The cart of notebook 0, 40 steps and three models:
+# The cart of notebook 0, 40 steps and three models, relaxed:
 
-# %%
+# %% tags=["hide-input"]
 size = np.array([[0.5], [0.2], [0.05]])
 mean = np.random.default_rng(0).choice([-1, 1], (40, 3))[:, :, None] * size
 A, B, C = [[1, 0.1], [0, 1]], [[0], [0.1]], [[0.1], [0]]
@@ -165,31 +161,23 @@ mixed = ms.SelectionProblem(Psi, mean, (0.2 * size) ** 2 + 0 * mean, [0, 0.002, 
 root = ms.relax_interior_point(mixed, gap=0)
 b = root.weights
 print("steps with divided weights:", (b.max(axis=1) < 0.999).sum(), "of 40")
-print("models that share one step: at most", (b > 1e-3).sum(axis=1).max())
 
 # %% [markdown]
-# Two are enough where $p = 1$: the cheapest way to a mean error $d_t$ lies on an edge of the lower
-# convex envelope of the points $(\mu_{tw}, \ell_{tw})$. (If three such points lie on one line, an
-# optimum may divide weight among them, too.)
-#
-# There are two ways to a schedule. **Round and swap**: take the largest weight of each step, then
-# change single steps while that helps. **Draw**: take model $w$ at step $t$ with chance $b_{tw}$,
-# independently of other steps. The mean error is $d$ as promised, but the draw adds its own
-# variance $V_t$:
-#
-# $$\mathbb{E}\,\mathrm{total} = f(b) + \alpha \sum_t \mathrm{tr}(\Psi_{tt} V_t), \qquad
-# V_t = \sum_w b_{tw} (\mu_{tw} - d_t)(\mu_{tw} - d_t)^\top .$$
+# **Round and swap**: take the largest weight of each step, then change single steps while that
+# helps. **Draw**: take model $w$ at step $t$ with chance $b_{tw}$, independently. Errors are $d$ on
+# average, but each varies about $d_t$. Its variance $v_t$ costs $\alpha \Psi_{tt} v_t$ besides.
 
 
 # %%
 def expected_draw(problem, b):
     """Return the expected total of independent draws with chances b; p = 1."""
-    d = (b * problem.mean[:, :, 0]).sum(axis=1, keepdims=True)
-    V = (b * (problem.mean[:, :, 0] - d) ** 2).sum(axis=1)
-    return evaluate(problem, b)[0] + problem.quadratic.diagonal() @ V
+    mu = problem.mean[:, :, 0]
+    v = (b * mu**2).sum(axis=1) - (b * mu).sum(axis=1) ** 2
+    return evaluate(problem, b)[0] + problem.quadratic.diagonal() @ v
 
 
 # %% tags=["hide-input"]
+corners = [*product((0, 1), repeat=2)]
 chance = [relaxed.weights[[0, 1], c].prod() for c in corners]
 np.testing.assert_allclose(expected_draw(toy, relaxed.weights), chance @ toy.total_cost(corners))
 results = {
@@ -202,31 +190,31 @@ for name, cost in results.items():
     print(f"{name:20} {100 * (cost / root.bound - 1):.1f}% above the bound")
 
 # %% [markdown]
-# Chance does not know which errors are to cancel. An average is never below the least of its
-# numbers, so no lottery has a lower *expected* cost than the best schedule. And moving one row at a
-# time to its best corner never raises the expectation (exercise 1).
+# Chance does not know which errors are to cancel. No lottery is cheaper *on average* than the
+# best schedule: its expected cost is an average over schedules.
 #
 # ## Switching costs: whole schedules as columns
 #
-# If changes have a price, weights on single models do not know what one costs. **Column
-# generation** (Dantzig and Wolfe) puts weights on whole schedules, the columns:
+# Weights of single models do not say how often one changes. If a change has a price, **column
+# generation** gives weights to whole schedules, the columns:
 #
-# 1. A *master* finds the best mixture of a few columns. It is our relaxation again, with one step
-#    whose "models" are the columns.
-# 2. Its $d$ prices the models. The cheapest path at these prices is the next column, or the proof
-#    that there is none.
+# 1. Find the best blend of the columns at hand: our relaxation, with columns as models.
+# 2. Find the cheapest path through that blend's $G$, switches included. It gives the bound, and the
+#    next column if bound and blend have not met.
+#
+# The toy, at 0.3 a switch:
 
-# %%
+# %% tags=["hide-input"]
 switching = replace(toy, switch_cost=0.3 * (1 - np.eye(2)))
 arc, columns = switching.beta * switching.switch_cost, [np.array([0, 0])]
 while True:
     means = switching.chosen_mean(np.array(columns))  # (K, pH)
-    # What is linear in the mixture: prices and switches, all but the errors' quadratic form.
+    # What is linear in the blend: prices and switches, all but the errors' quadratic form.
     fees = switching.total_cost(np.array(columns)) - ((means @ toy.psi) * means).sum(axis=1)
     master = ms.SelectionProblem(toy.psi, means[None], 0 * means[None], fees)
     point = ms.relax_interior_point(master, gap=1e-9)
     bound, _ = ms.reference_bound(switching, point.reference)
-    print(f"columns: {len(columns)}, {bound:.4f} <= relaxed <= {point.value:.4f}")
+    print(f"columns {np.array(columns).tolist()}: {bound:.4f} <= {point.value:.4f}")
     if bound > point.value * (1 - 1e-7):
         break
     G = 2 * toy.mean[:, :, 0] * (toy.psi @ point.reference)[:, None] + toy.linear
@@ -234,94 +222,72 @@ while True:
 np.testing.assert_allclose(bound, ms.relax_by_columns(switching).bound, rtol=1e-6)
 
 # %% [markdown]
-# It is 0.2582, not 0.2578: columns that never switch blend alike at both steps, so $d_0 = d_1$.
-#
 # ## Problem 4: where fractions are legal
 #
-# The paper's section V blends the worst and the best model, $c_t \in [0, 1]$
-# (`eq:perModelExpCont`). With $\delta = \mu^{best} - \mu^{worst}$ and $D$ ($pH \times H$) holding
-# $\delta_t$ in column $t$, the cost is $c^\top \Psi' c + g^\top c + \mathrm{const}$, $\Psi' =
-# \alpha D^\top \Psi D$. **Theorem 4** (`thm:psi`) in one line: $x^\top \Psi' x = \alpha (Dx)^\top
-# \Psi (Dx) \ge 0$, for every suite. So it is a convex quadratic over a box: polynomial. It is this
-# notebook's relaxation with two models. (*Drawing* one with chance $c_t$ instead adds a
-# $V_t = c_t (1 - c_t) \delta_t \delta_t^\top$, which cancels the diagonal of $\Psi'$: not convex
-# where steps meet. The paper's assumption, its semidefinite form and all errata:
-# [paper.md](paper.md).)
+# The paper's section V blends the worst and the best model, with $c_t \in [0, 1]$ of the best
+# (`eq:perModelExpCont`): our relaxation with two models. If column $t$ of $D$ is the difference of
+# their mean errors, the quadratic part is $\Psi' = \alpha D^\top \Psi D$. **Theorem 4**
+# (`thm:psi`): $x^\top \Psi' x = \alpha (Dx)^\top \Psi (Dx) \ge 0$. A convex quadratic over a box
+# takes polynomial time. (The paper's detour: [paper.md](paper.md).)
 
 # %%
-for name, problem in {"toy": toy, "cart": mixed}.items():
-    blend = ms.solve_blend(ms.BlendProblem(problem))
-    print(f"{name:4} best blend / best schedule: {blend.cost / ms.solve(problem).cost:.3f}")
-    assert blend.lower_bound > blend.cost * (1 - 1e-5)
+blend = ms.solve_blend(ms.BlendProblem(toy))
+print(f"{blend.lower_bound:.4f} <= {blend.cost:.4f}, the relaxation again")
+np.testing.assert_allclose(blend.cost, relaxed.value, rtol=1e-5)
 
 # %% [markdown]
-# Never above the best schedule *of its two models*; of all models, on either side.
-#
 # ## What is NP-hard
 #
-# `remark:np_status` leaves open whether selection is NP-hard. It is:
+# `remark:np_status` leaves open whether selection itself is NP-hard. It is.
 #
-# **Decision problem.** Given (rational) $A, B, C, Q, R, H$, errors, prices and a number $K$: is
-# there a schedule of total at most $K$? It is *in NP*: its cost, one linear system and a sum, is
-# quickly checked.
-#
-# **Direction.** A known hard problem is written *as* a selection problem, in time polynomial in its
-# length. So whoever selects fast solves it fast. (The other direction would prove nothing.)
-#
-# **PARTITION** (split positive integers into halves of equal sum) needs one state. A robot that
-# acts only at $t = 0$ ($B_t = 0$ later) and pays for that and for the end is off by half the sum of
-# errors at both: $\Psi = \frac12 \mathbf{1}\mathbf{1}^\top$. Let model 0 err by $+a_t$, and model 1
-# by $-a_t$ for a crumb more (free would do, too). The cost is $\frac12 (\sum \pm a_t)^2$ plus less
-# than $\frac14$. It is below $\frac12$ **if and only if** the integers split. *Weakly* hard: a
-# search's labels carry one number, the signed sum so far, and equal sums merge. Few sums, few
-# labels; larger integers, more (pseudo-polynomial).
-#
-# <details><summary>MAXIMUM CUT, with H states: strongly hard</summary>
-#
-# The states hand on all errors to the end, which is weighed by $H(2H I - L)$, $L$ the graph's
-# Laplacian; errors $\pm 1$ are the sides. Again only $u_0$, now of $H$ numbers, acts. The cost is
-# $H(2H^2 - 4\,\mathrm{cut}) - H$ plus less than $\frac12$, with numbers no larger than a polynomial
-# in $H$. (PARTITION: Karp 1972; this cut, of edges that all count 1: Garey, Johnson and Stockmeyer
-# 1976. PARTITION with constant matrices: $A = B = C = R = 1$, planned once, paying for the end, has
-# $\Psi = \frac{H}{H+1} \mathbf{1}\mathbf{1}^\top$.)
-#
-# </details>
+# > **Decision problem.** Given a robot, errors and prices, all rational: is there a schedule of
+# total at most $K$? One is quickly checked, so this is in NP.
+# >
+# > **Direction.** Write a known hard problem *as* selection, in polynomial time. Then whoever
+# selects fast solves it fast. The other direction proves nothing.
+# >
+# > **PARTITION.** Do positive integers $a_t$ split into two groups of equal sum? A robot of one
+# state that acts only at first can have $\Psi = \frac12 \mathbf{1}\mathbf{1}^\top$. Let two free
+# models err by $a_t$ and $-a_t$. A schedule costs $\frac12 (\sum \pm a_t)^2$. So one of total at
+# most $K = 0$ exists **if and only if** the integers split.
+# >
+# > **MAXIMUM CUT.** Part the nodes of a graph so that most edges join the two sides. With a state
+# for each node, and errors $\pm 1$ for the sides, the cheapest schedule is a largest cut (proof:
+# `maximum_cut_problem`). Here small numbers are hard (*strongly*), in PARTITION only large ones
+# (*weakly*).
 
 # %% tags=["hide-input"]
 for integers in ([3, 1, 1, 2, 2, 1], [5, 5, 5, 3]):
     schedule = ms.solve(ms.partition_problem(integers))
     off = abs(np.where(schedule.choices == 0, 1, -1) @ integers)
-    print(f"{integers}: optimum {schedule.cost:.2f}, sums differ by {off}")
+    print(f"{integers}: sums differ by {off}")
     assert schedule.is_optimal and (schedule.cost < 0.5) == (off == 0)
 graph = np.triu(np.random.default_rng(2).random((7, 7)) < 0.5, 1)
 sides = np.indices((2,) * 7).reshape(7, -1).T
 cuts = [(graph & (side[:, None] != side)).sum() for side in sides]
 side = ms.solve(ms.maximum_cut_problem(graph | graph.T)).choices
 ours = (graph & (side[:, None] != side)).sum()
-print(f"{graph.sum()} edges: our cut {ours}, largest {max(cuts)}")
+print(f"graph of {graph.sum()} edges: our cut {ours}, largest {max(cuts)}")
 assert ours == max(cuts)
 
 # %% [markdown]
-# What this does not say: anything about typical instances (the relaxation of the published one is
-# tight to some $10^{-6}$), or about `causal` and `measurement`, where steps decouple.
+# Typical instances may be easy: the published one's relaxation is tight to some $10^{-6}$.
 #
-# **In one paragraph.** Letting choices be fractions makes selection convex; value and bound bracket
-# its optimum at any iterate, and meet at the best. Gradients get there slowly on a stiff $\Psi$,
-# Newton's method does not. The bound is for schedules, too; rounding and swapping gives one, a
-# search closes the gap. With switching costs the fractions are of whole schedules. Problem 4 is the
-# relaxation itself, and polynomial; the discrete problem is NP-hard. Next: the paper's landing.
+# **In one paragraph.** Weights make selection convex. Any weights give a value, their tangent a
+# bound; at the best weights the two meet. On a stiff $\Psi$ gradients are slow, Newton's method is
+# not. Problem 4 is the relaxation, and polynomial; selection is NP-hard.
 #
 # ## Recall
 #
-# <details><summary>At some weights f = 5 and the sum of r b is 1. What do you know of the best schedule?</summary>
+# <details><summary>At some weights f = 5 and the duality gap is 1. What do you know of the best schedule?</summary>
 #
 # It costs at least $LB = 4$. Not that it costs at most 5: no schedule need reach $f$.
 #
 # </details>
-# <details><summary>Why are two models a step enough for the relaxation, if p = 1?</summary>
+# <details><summary>Why does the best LB reach the least f, and not only stay below it?</summary>
 #
-# A mean $d_t$ is had most cheaply on an edge of the lower envelope of the points $(\mu, \ell)$,
-# and an edge has two ends.
+# At the best weights no move lowers the tangent, as it would lower $f$ at first. So the tangent's
+# least value is $f$ there.
 #
 # </details>
 # <details><summary>To show that your problem is NP-hard: do you write it as PARTITION, or PARTITION as it?</summary>
@@ -335,8 +301,8 @@ assert ours == max(cuts)
 # ### Exercise 1: draw without luck
 #
 # Write `derandomise(problem, b)`: choices (H,) that cost *at most* `expected_draw(problem, b)`. Go
-# through the steps; at each, set row $t$ to every corner in turn, keep the one of the least
-# expected draw, and go on with the changed weights. Leave the caller's `b` as it is.
+# through the steps; at each, give all weight to one model after the other, keep the model of the
+# least expected draw, and go on with the changed weights. Leave the caller's `b` as it is.
 
 
 # %% tags=["exercise"]
