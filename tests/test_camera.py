@@ -388,6 +388,19 @@ def test_folding_is_the_transpose_of_cutting():
     assert (cut * d).sum() == pytest.approx((x * networks.add_windows(d, 4, x.shape)).sum())
 
 
+@pytest.mark.parametrize("number", [np.float32, np.float64])
+def test_sums_forth_and_back_keep_the_precision_of_the_weights(number):
+    network, rng = new_network((12, 2, 3), generator(2)), generator(3)
+    layers = [
+        type(x)(x.weight.astype(number), x.bias.astype(number), x.window) for x in network.layers
+    ]
+    pictures = rng.random((3, 12, 12))
+    output, seen = forward(layers, pictures)
+    found = [output, *(array for pair in seen for array in pair)]
+    found += gradients(layers, pictures, rng.normal(size=3))[1]
+    assert {array.dtype for array in found} == {np.dtype(number)}
+
+
 @pytest.mark.no_cover
 def test_the_last_layer_alone_learns_like_least_squares():
     """On features that stay as they are, many small steps reach the solution of lstsq."""

@@ -213,6 +213,38 @@ def test_a_label_of_another_model_costs_no_more_whatever_comes_before(seed, labe
     assert kept.any() and (best <= whole + 1e-12)[within].all()
 
 
+@pytest.mark.parametrize(
+    ("toll", "limited", "counts"),
+    [(0.1, False, [1, 1, 1]), (0.3, False, [1, 2, 2]), (0.1, True, [2, 2, 2])],
+)
+def test_a_dearer_label_goes_if_a_move_to_its_model_costs_no_more(toll, limited, counts):
+    """At the last step model 1 costs 0.2 more; before, only moves cost, the same everywhere."""
+    moves = np.array([*[[[0, toll], [toll, 0]]] * 2, [[0, 0.2]] * 2])
+    nothing = np.zeros((3, 2, 1))
+    triangle = triangles.Triangle(0.0, moves, nothing, np.zeros((3, 3)), np.zeros(3), 0.0, 0.0)
+    r0 = (np.zeros((1, 1)), np.zeros((1, 0)), np.zeros((0, 0)), np.zeros((0, 1)))
+    purse = triangles.Purse(0.0, 0 * moves, np.zeros((3, 2)), 1.0, 1.0, 0.0)
+    given_ = label_search.Losses(1.0, 1e-12, 0.0, 0.0)
+    steps, purse = [triangles.Coordinates(*r0, 0.0)] * 3, purse if limited else triangles.FREE
+    found = label_search.search(triangle, steps, purse, given_, 99, lambda: False)
+    assert found.labels.tolist() == counts
+    assert found.choices.tolist() == [0, 0, 0] and found.least == 0
+
+
+@pytest.mark.parametrize("few", [0, 96])
+@pytest.mark.parametrize(("detour", "kept"), [(0.0, [0]), (0.1, [0]), (0.3, [0, 1])])
+def test_among_many_labels_too_the_cheapest_stands_for_those_of_the_other_model(
+    few, detour, kept, monkeypatch
+):
+    monkeypatch.setattr(dominance, "FEW", few)
+    n = dominance.MANY + 88
+    extra, state = np.append(0, np.linspace(0.2, 0.9, n - 1)), np.arange(n) % 2
+    across = detour * (1 - np.eye(2))
+    given_ = extra, np.zeros((1, n)), np.sqrt(1 - extra), 0.0, lambda: False, state
+    assert np.flatnonzero(dominance.undominated(*given_, across)).tolist() == kept
+    assert np.flatnonzero(dominance.undominated(*given_)).tolist() == [0, 1]
+
+
 @given(SEEDS)
 def test_the_search_is_left_with_the_models_through_which_a_path_stays_within_the_excess(seed):
     problem, rng = a_problem(seed, budget=False), np.random.default_rng(seed)
@@ -330,6 +362,44 @@ def test_the_certificate_takes_no_more_off_than_it_says(seed, size):
         path = sum(Fraction(found.node[t, w]) for t, w in enumerate(c))
         path += sum(Fraction(A[v, w]) for v, w in moves)
         assert 0 <= total - Fraction(found.base) - path - quadratic <= Fraction(found.taken)
+
+
+@pytest.mark.parametrize("multiplier", [1e3, 1e9])
+def test_a_certificate_may_state_what_is_exact_where_the_price_of_the_budget_cancels(multiplier):
+    """lam (spent - K) is next to 0: what its two parts lose is forgiven, and no more."""
+    price, lam = [[0.1, 0.5], [0.2, 0.3], [0.7, 0.9]], Fraction(multiplier)
+    zero = np.zeros((3, 2, 1))
+    problem = SelectionProblem(np.eye(3), zero, zero, price, budget=1.0)
+    bound = sum((1 + lam) * Fraction(row[0]) for row in price) - lam * Fraction(problem._limit)
+    cost, d = float(problem.total_cost([0, 0, 0])), np.zeros(3)
+    given_ = cost, float(bound), float(bound), d, "by hand", {}, multiplier
+    honest = ms.Schedule(np.zeros(3, int), *given_)
+    assert ms.check_certificate(problem, honest) <= bound
+    for off in (-1e-9, 1e-9):
+        with pytest.raises(ValueError, match=r"^schedule\.root_bound: "):
+            wrong = honest.root_bound + off * multiplier
+            ms.check_certificate(problem, replace(honest, root_bound=wrong))
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_a_segment_adds_the_least_over_what_comes_after_it(seed):
+    """Dense least squares over the offsets of later errors, and the cheapest move to go on with."""
+    problem = replace(a_robots_problem(seed), budget=None)
+    (H, W, p), d = problem.mean.shape, np.zeros(len(problem.psi))
+    switch = np.random.default_rng(seed).uniform(0, 1, (W, W)) * (1 - np.eye(W))
+    form = replace(problem, switch_cost=switch).form
+    whole = triangles.factor(form, trellis.certificate(form, d), d, 0.0, 1e3)
+    steps = triangles.compress(whole, 1e-9, lambda: False)
+    for a, b in itertools.combinations(range(0, H + 1, 2), 2):
+        part = triangles.segment(whole, steps, a, b, 1.0)
+        assert len(part.moves) == len(part.deviation) == b - a
+        G, t = whole.U[a * p : b * p, b * p :], np.arange(a, b)
+        for c in itertools.islice(itertools.product(range(W), repeat=b - a), 0, None, 3):
+            rows = whole.U[a * p : b * p, a * p : b * p] @ whole.deviation[t, c].ravel()
+            left = rows - G @ np.linalg.lstsq(G, rows, rcond=1e-9)[0]
+            on = [whole.moves[a + k, w, v] for k, (v, w) in enumerate(itertools.pairwise(c))]
+            least = sum(on) + whole.moves[b - 1, :, c[-1]].min() + left @ left
+            assert triangles.excess_of(part, np.array(c)) == pytest.approx(least, abs=1e-6)
 
 
 @given(SEEDS, st.integers(0, 2), st.integers(1, 60), st.sampled_from([0, 60]))

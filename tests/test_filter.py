@@ -154,6 +154,16 @@ def test_gains_stand_where_a_pattern_takes_them_and_only_there(information, gain
             call()
 
 
+def test_a_refusal_names_every_row_that_takes_what_was_given(monkeypatch):
+    monkeypatch.setitem(PATTERNS, "late", PATTERNS["filter"])
+    monkeypatch.setitem(PATTERNS, "slow", PATTERNS["causal"])
+    task, s = ControlTask([[1]], [[1]], [[1]], [[1]], [[1]], 3), np.zeros((3, 1))
+    with pytest.raises(ValueError, match=r"^gains: used only by 'filter' or 'late', found with"):
+        psi(task, "preview", gains=[[1.0]])
+    with pytest.raises(ValueError, match=r"^prior_mean: used only by 'causal' or 'slow', found"):
+        run_controller(task, [1], s, s, "preview", s)
+
+
 def test_what_a_task_alone_defines_is_listed_and_every_row_says_what_it_assumes():
     assert ms.INFORMATION == ("open_loop", "preview", "causal", "measurement")
     assert all(row.assumes for row in PATTERNS.values())

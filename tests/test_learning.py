@@ -1,8 +1,10 @@
 """Experiment 2 by stages: pooled errors, calibration, rounds of labelled landings, a filter."""
 
+import statistics
 import subprocess
 import sys
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
 
 import matplotlib.pyplot as plt
@@ -89,6 +91,19 @@ def test_standard_errors_are_the_deviation_of_means_over_new_pictures(size, scen
     assert (np.mean(told, axis=0) > 1.5 * naive).all() == (size > 1)
 
 
+def test_standard_errors_are_those_of_loops_over_the_same_draws():
+    few, group = pictures(np.random.default_rng(0), 30, 3, 0.2), np.repeat(np.arange(30), 3)
+    suite = pooling.pooled_suite(few, PATH, [0, 1])
+    suite = pooling.bootstrapped(suite, few, PATH, np.random.default_rng(1), 4)
+    counts = np.random.default_rng(1).multinomial(30, np.full(30, 1 / 30), 4)
+    z = few.altitude + MOUNT
+    for (step, here), w in product(enumerate(PATH + MOUNT), range(2)):
+        k = np.exp(-0.5 * (np.log(z / here) / 0.3) ** 2)
+        r = few.error[w] / z
+        means = [here * np.average(r, weights=k * count[group]) for count in counts]
+        assert suite.standard_error[step, w, 0] == pytest.approx(statistics.stdev(means))
+
+
 def test_sample_sizes_count_landings_not_pictures():
     drawn = pictures(np.random.default_rng(3), 50, 10)
     drawn = drawn._replace(planned=np.tile(np.linspace(90, 0, 10), 50))
@@ -162,6 +177,23 @@ def test_bins_survive_landings_that_were_labelled_at_the_same_places():
     np.testing.assert_allclose(suite.mean[1, :, 0], seen.error[:, inside].mean(axis=1))
     drawn = pooling.redraw(seen, path, 30, np.random.default_rng(0), 20)
     assert np.isin(drawn[:, 1, 0], seen.error[0, inside]).all()
+
+
+def test_errors_are_drawn_of_the_pictures_that_the_fit_looks_at():
+    seen = pictures(np.random.default_rng(11), 40)
+    path = np.array([90.0, 26.0, 7.0])
+    edges = pooling.altitude_bins(seen.planned, path, 2)
+    drawn = pooling.redraw(seen, path, 900, np.random.default_rng(0), 2)
+    part = [seen.planned >= edges[1], seen.planned < edges[1]]
+    inside = (seen.planned > 7) & (seen.planned < 90)
+    for step, w in np.ndindex(3, 2):
+        high = path[step] >= edges[1]
+        assert set(drawn[:, step, w, 0]) == set(seen.error[w, part[1 - high] & inside])
+    drawn = pooling.redraw(seen, path, 20, np.random.default_rng(0), None)
+    scaled = drawn / (path + MOUNT)[:, None, None]
+    for w in range(2):
+        apart = abs(scaled[:, :, w] - seen.error[w] / seen.distance)
+        assert apart.min(axis=-1).max() < 1e-12
 
 
 # -------------------------------------------------------------------------------- calibration

@@ -195,6 +195,32 @@ def test_rounding_counts_income_by_its_size():
     assert problem.rounding == 8 * 15 * 2**-53
 
 
+def test_rounding_counts_moves_and_pulls_by_their_size():
+    given_ = np.ones((2, 2, 1)), np.zeros((2, 2, 1)), [-5, -5], 1.0, 2.0
+    problem = SelectionProblem(
+        3 * np.eye(2), *given_, switch_cost=[[0, 7], [1, 0]], initial_model=1, pull=[[4], [-4]]
+    )
+    # 2 * 3 to control, 2 * 4 pulled either way; twice: 5 earned less 1, 5 earned, 7 to move.
+    assert problem.cost_rounding([0, 1]) == (4 + 2 + 2 + 10) * (6 + 8 + 2 * (4 + 5 + 7)) * 2**-53
+
+
+@pytest.mark.parametrize("dear", ["switch_cost", "pull", "variance", "model_cost"])
+def test_the_cost_of_large_terms_of_any_kind_is_off_by_its_rounding_at_most(dear):
+    rng = np.random.default_rng(0)
+    terms = {
+        "switch_cost": rng.random((3, 3)) * (1 - np.eye(3)),
+        "pull": rng.normal(size=(6, 1)),
+        "variance": rng.random((6, 3, 1)),
+        "model_cost": rng.normal(size=(6, 3)),
+    }
+    terms[dear] = 1e12 * terms[dear]
+    problem = SelectionProblem(np.eye(6), rng.normal(size=(6, 3, 1)), beta=0.3, **terms)
+    c = every_schedule(problem)[::9]
+    exact = map(problem.exact_cost, c)
+    off = [abs(Fraction(x) - y) for x, y in zip(problem.total_cost(c), exact, strict=True)]
+    assert max(off) > 1e-7 and (np.array(off, float) <= problem.cost_rounding(c)).all()
+
+
 @given(problems())
 def test_a_cost_is_off_by_its_rounding_at_most(problem):
     schedules = every_schedule(problem)

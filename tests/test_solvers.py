@@ -252,6 +252,18 @@ def test_triangle_restates_the_cost_exactly(problem, seed):
         assert abs(rebuilt - problem.total_cost(c)) <= scale + 1e-300
 
 
+@pytest.mark.parametrize(("slack", "share"), [(1e-6, 5e-9), (1e-3, 1e-6), (1e3, 1e-6)])
+def test_the_shift_of_a_factor_is_a_millionth_and_costs_a_hundredth_of_the_slack(slack, share):
+    """Errors (1, 1) that cancel: a shift of this share of the diagonal 1 lowers the nodes by 2."""
+    M = np.array([[1.0, -1], [-1, 1]])
+    form = SelectionProblem(M, np.ones((2, 1, 1)), np.zeros((2, 1, 1)), [0]).form
+    found, d = trellis.certificate(form, np.zeros(2)), np.zeros(2)
+    excess = slack + found.bound - found.base
+    triangle = triangle_part.factor(form, found, d, 0.0, excess)
+    np.testing.assert_allclose(triangle.U.T @ triangle.U - M, share * np.eye(2), atol=1e-11)
+    assert triangle.constant == pytest.approx(-2 * share, abs=2e-11)
+
+
 @pytest.mark.parametrize(("p", "rank"), [(1, None), (2, None), (2, 5), (3, 2)])
 def test_compressed_offsets_keep_their_lengths(p, rank):
     problem = known_suite(5, H=10, p=p, rank=rank)

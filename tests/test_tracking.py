@@ -15,12 +15,15 @@ from modelselect import (
     INFORMATION,
     PATTERNS,
     ControlTask,
+    Pattern,
     control_cost,
     plan,
     preview_regret,
+    prior_pull,
     psi,
     riccati,
     run_controller,
+    sensitivity,
 )
 
 from strategies import at, plain_cost, plain_states, stacked, weight
@@ -200,6 +203,33 @@ def test_regret_under_cross_costs_is_quadratic(information, seed):
     assert abs(wrong - right - regret) <= 1e-11 * (abs(wrong) + abs(right))
     if information == "preview":
         assert preview_regret(task, e) == pytest.approx(regret, rel=1e-10)
+
+
+@seeds
+@pytest.mark.parametrize("information", [*PATTERNS, "late"][1:])
+def test_the_system_under_cross_costs_is_the_dense_psi_and_what_flights_cost(
+    information, seed, monkeypatch
+):
+    late = Pattern(lambda look: look.late, False, False, False, "acts on the picture before this")
+    monkeypatch.setitem(PATTERNS, "late", late)
+    task = crossed(seed)
+    x0, s, e, gains = draw(task, seed)
+    given = taken(information, gains)
+    system, Psi = sensitivity(task, information, **given), psi(task, information, **given)
+    np.testing.assert_allclose(np.asarray(system), Psi, rtol=0, atol=1e-11 * Psi.max())
+    flown = total(task, *run_controller(task, 0 * x0, 0 * s, e, information, **given))
+    assert e.ravel() @ (system @ e.ravel()) == pytest.approx(flown, rel=1e-9)
+
+
+@seeds
+def test_the_pull_of_a_misjudged_start_under_cross_costs_is_what_plans_pay(seed):
+    task = crossed(seed)
+    m, _, e, _ = draw(task, seed)
+    nothing = np.zeros((task.horizon + 1, task.n))
+    plans = [best(task, m, k * e, nothing, nothing[1:]) for k in (1, 0)]
+    wrong, right = (total(task, plain_states(task, 0 * m, 0 * e, u), u) for u in plans)
+    regret = e.ravel() @ psi(task) @ e.ravel() + (prior_pull(task, m, "open_loop") * e).sum()
+    assert abs(wrong - right - regret) <= 1e-10 * (wrong + right)
 
 
 def test_no_cross_cost_is_a_cross_cost_of_zero_to_the_last_bit():

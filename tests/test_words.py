@@ -109,6 +109,18 @@ REFUSED = {
     "variance: expected shape (H, p, p) = (2, 1, 1), found (2, 2, 2)": lambda: (
         perception.with_latency(SUITE, 1, np.ones((2, 2, 2)))
     ),
+    "variance: expected shape (H, p) = (2, 1), found (1, 1)": lambda: perception.with_latency(
+        SUITE, 1, S[:1]
+    ),
+    "fallback.mean: expected shape (H, p) = (2, 1), found (1, 1)": lambda: perception.with_dropouts(
+        SUITE, 0.5, (S[:1], [1])
+    ),
+    "fallback.variance: expected shape (H, p) = (2, 1), found (1, 1)": lambda: (
+        perception.with_dropouts(SUITE, 0.5, ([1], S[:1]))
+    ),
+    "fallback.variance: expected shape (H, p, p) = (2, 1, 1), found (1, 1, 1)": lambda: (
+        perception.with_dropouts(SUITE, 0.5, ([1], np.ones((1, 1, 1))))
+    ),
     "drift: expected shape (H, p) = (2, 1), found (3, 1)": lambda: perception.with_latency(
         SUITE, 1, [1], S[:3]
     ),
