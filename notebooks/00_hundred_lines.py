@@ -286,8 +286,8 @@ plt.show()
 #
 # A robot learns its state one step late: at step $t$ it knows $x_{t-1}$, believes $\hat x_t =
 # Ax_{t-1} + Bu_{t-1} + C\hat s_{t-1}$, uses $\hat s_t$, and expects nothing later. ($x_0$ is
-# known.) Predict how far apart steps may be whose errors meet ($\Psi_{tk} \ne 0$); then write its
-# row `late` of `PATTERNS`.
+# known.) First predict how far apart two steps may be whose errors meet ($\Psi_{tk} \ne 0$); then
+# write its row `late` of `PATTERNS`.
 
 # %% tags=["exercise"]
 late, furthest = ..., ...  # (memory, told, foresight); the largest |t - k|
