@@ -9,8 +9,6 @@
 #
 # **Covers** `sol:model_selection`, `sol:model_selection_expectation`, `remark:np_status`.
 #
-# A solver returns a schedule, and a proof that no other is cheaper.
-#
 # ## Two steps, nine schedules
 #
 # A cart follows $x_{t+1} = x_t + u_t + s_t$ for two steps, with $Q = R = 1$, and acts on a forecast
@@ -38,8 +36,9 @@ print(f"Psi = {toy.psi.round(3).tolist()}\n{toy.total_cost(nine).reshape(3, 3).r
 # The best is b1, then b0, at 0.725: errors partly cancel.
 #
 # Pick **any** point $d$, say $(\frac{2}{45}, \frac{4}{45})$. Replace $e^\top \Psi e$ by its
-# tangent there, $2e^\top \Psi d - d^\top \Psi d$. Along it steps no longer meet: an error $\mu$
-# costs $\frac{2}{15}\mu$ at either step. With prices, b0 and b1 cost 0.133, b2 costs 0.613.
+# tangent there, $2e^\top \Psi d - d^\top \Psi d$. A sum over steps: as $2\Psi d =
+# (\frac{2}{15},\frac{2}{15})$, an error $\mu$ costs $\frac{2}{15}\mu$ at either. With prices, b0
+# and b1 cost 0.133, b2 costs 0.613.
 #
 # - **The bound**: the cheapest of each step, 0.133 twice, less $d^\top \Psi d = 0.009$: 0.258.
 # - **Reduced costs**: what a model costs above the cheapest of its step, 0.48 for b2.
@@ -76,11 +75,11 @@ plt.show()
 #
 # $$\mathrm{total}(c) = LB(d) + \sum_t r_{t,c_t} + (\mu_c - d)^\top \Psi (\mu_c - d).$$
 #
-# `certificate` computes the bound $LB(d)$ and the reduced costs $r$; its `G` is what a model costs
-# along the tangent. A bad $d$ makes the bound low, never wrong. The best $d$ is the mean error of
-# the cheapest **blend**: weights of models in place of a choice (notebook 4).
+# `certificate` computes $LB(d)$ and $r$; its `G` is what a model costs along the tangent. A bad $d$
+# makes the bound low, never wrong. The best $d$, as above, is the mean error of the cheapest
+# **blend**: weights of models in place of a choice (notebook 4).
 #
-# We check the identity on all schedules of a longer cart (eight steps, four models):
+# Check the identity on all schedules of a longer cart (eight steps, four models at 0 to 3):
 
 
 # %% tags=["hide-input"]
@@ -139,13 +138,14 @@ assert possible.sum() == 150 and possible[np.arange(150), claim.choices].all()
 #
 # $$h_t = P_{t+1} C \varepsilon_t + q_{t+1}, \qquad q_t = (A - BK_t)^\top h_t .$$
 #
-# It pays $(B^\top h_t)^\top S_t^{-1} B^\top h_t$. Two steps have $P_2 = 1,\ S_1 = 2,\ A - BK_1 =
+# Step $t$ pays $(B^\top h_t)^\top S_t^{-1} B^\top h_t$ ($P$, $K$: Riccati matrices and gains;
+# $S_t=R+B^\top P_{t+1}B$). Two steps have $P_2 = 1,\ S_1 = 2,\ A - BK_1 =
 # \frac12,\ P_1 = \frac32,\ S_0 = \frac52$:
 #
 # - At step 1, b1 deviates by -0.589, pays $0.589^2/2 = 0.173$, leaves $q_1 = -0.294$. b0 pays
 #   0.415, leaves 0.456.
-# - So far b1 is cheaper. But b1 at step 0 cancels most of what b0 left: $h_0 = -0.817 + 0.456$ pays
-#   0.052, 0.467 in all. After b1 the least is 0.667.
+# - So far b1 is cheaper. But b1 at step 0 cancels most of what b0 left: $h_0 =
+#   -\frac32\cdot0.544 + 0.456$ pays 0.052, 0.467 in all. After b1 the least is 0.667.
 #
 # A **label** is a schedule from some step to the last. It keeps its models, its extra cost $x$
 # (reduced costs and squares) and its costate, all that earlier steps feel of it.
@@ -156,7 +156,7 @@ assert possible.sum() == 150 and possible[np.arange(150), claim.choices].all()
 #
 # **Dominated.** On two steps, step 0 adds a reduced cost and $(v + q)^2/S_0$ to a label; $v$ comes
 # from the model of step 0. So each label is a parabola over $v$. A bar shows where that is within
-# the room.
+# the room. The dashed label runs a fourth model.
 
 # %% alt="Three equal parabolas over v, cut off by a line at the room, 0.467. Bars above that line show where each is below it. The bar of b0 reaches left beyond the bar of b1: it lives. The dashed parabola lies above that of b1 until they meet over the room, its bar is inside the bar of b1: it dies." tags=["hide-input"]
 low, _ = ms.reference_bound(toy, [2 / 45, 4 / 45])
@@ -226,7 +226,7 @@ def search(task, mean, reduced, d, room):
 
 
 (extra, _, models), kept = search(task, mean, reduced, d, room)
-print(f"bound + least extra = {bound + extra:.3f}: {models}; labels kept: {kept}")
+print(f"bound + least extra = {bound + extra:.3f}: {models}; labels kept, last step first: {kept}")
 np.testing.assert_allclose(bound + extra, costs.min())
 
 # %% [markdown]
@@ -250,13 +250,13 @@ assert lie.is_optimal and lie.cost > 1.01 * costs.min() and lie.proof == "search
 # Let a change of model cost 0.5. Now a schedule is a **path**: its nodes cost `G`, its arcs 0.5
 # where the model changes. The cheapest path takes the place of the sum of minima.
 #
-# Let a schedule also spend at most a budget of 3 on models and changes. Take any price $\lambda \ge
-# 0$ on spending, paid by nodes and arcs. The bound falls by $3\lambda$, and
+# Let a schedule also spend at most a budget of 3 on models and changes. Nodes and arcs pay any price
+# $\lambda \ge 0$ on spending. The cheapest path, less $d^\top \Psi d$ and $3\lambda$, is the bound:
 #
 # $$\mathrm{total} = LB(d, \lambda) + (\text{path} - \text{cheapest path})
 # + \lambda\,(3 - \text{spent}) + \text{square}.$$
 #
-# Within the budget no excess is negative. On the longer cart:
+# Within the budget no excess is negative. On the longer cart, $\lambda$ from a blend that spends 3:
 
 # %% tags=["hide-input"]
 limited = replace(problem, switch_cost=0.5 * (1 - np.eye(4)), budget=3.0)
@@ -279,9 +279,9 @@ np.testing.assert_allclose(answer.cost, ms.enumerate_schedules(limited).cost)
 # The identity holds for every $d$, and what follows $LB(d)$ is never negative.
 #
 # </details>
-# <details><summary>Two labels of one step: x = 1 and x = 2. May the dearer one die?</summary>
+# <details><summary>Two labels of one step, x = 1 and x = 2, room 3. May the dearer one die?</summary>
 #
-# Only if their costates are near: $\rho \le \sqrt{\Delta - 1} - \sqrt{\Delta - 2}$. Otherwise
+# Only if their costates are near: $\rho \le \sqrt{3 - 1} - \sqrt{3 - 2} = 0.41$. Otherwise
 # earlier steps may cancel the dearer one's and not the other's.
 #
 # </details>
@@ -362,7 +362,7 @@ print("Exercise 1: right")
 
 # %% tags=["exercise"]
 def path_bound(problem, d):
-    """Return the cheapest path of nodes G and arcs, less d'Md."""
+    """Return the cheapest path of nodes G and arcs, less d'Psi d."""
     ...
 
 

@@ -39,7 +39,7 @@ def branch(problem):
 
 # %%
 def path_bound(problem, d):
-    """Return the cheapest path of nodes G and arcs, less d'Md."""
+    """Return the cheapest path of nodes G and arcs, less d'Psi d."""
     pull = problem.quadratic @ d
     G = 2 * problem.mean[:, :, 0] * pull[:, None] + problem.linear
     cheapest = G[0]
