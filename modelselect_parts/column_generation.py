@@ -8,8 +8,8 @@ ever made (Dantzig and Wolfe 1960; von Hohenbalken 1977).
 
 >>> form = Form(np.array([[2.0]]), np.array([[[1.0], [-1.0]]]), *np.array([[[0.0, 1.0]]] * 2))
 >>> found = columns(form, lambda value, bound: value - bound < 1e-9, max_iterations=9)
->>> found.weights.round(3), round(found.value, 3)  # at 0.125 mean error
-(array([[0.562, 0.438]]), 0.469)
+>>> found.weights.round(4), round(found.value, 3)  # at 0.125 mean error
+(array([[0.5625, 0.4375]]), 0.469)
 """
 
 from __future__ import annotations
