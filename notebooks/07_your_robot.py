@@ -5,17 +5,17 @@
 #
 # - write your robot down with units, and say what its controller knows;
 # - turn a file of measured errors into a schedule with a proof, under switching costs and a budget;
-# - send the schedule to the robot, which checks the proof again;
+# - send the schedule to the robot, which derives cost and bound again;
 # - plan anew at every step, without forgetting what the filter already believes wrongly;
 # - rehearse on pictures that the fit has not seen, and read the difference.
 #
 # **Covers** `eq:dynamics`, `eq:control_cost_diff`, `eq:perModelExp`, `eq:perModelVar`,
 # `eq:perceptionCostDistro`, `prob:model_selection_expectation`.
 #
-# A drone descends onto a pad with a tag. A real tag detector, at six settings (scale of the
-# picture, refinement of corners), measures its height. A Kalman filter turns measurements into a
-# belief, on which the controller acts. **Which setting should look at each step?** **Yours** is
-# what you change:
+# A drone descends onto a pad with a tag. A real tag detector at six settings (scale of the
+# picture, refinement of corners), six *models*, measures its height. A Kalman filter turns
+# measurements into a belief, on which the controller acts. **Which should look at each step?**
+# **Yours** is what you change:
 #
 # | you bring | it becomes |
 # |---|---|
@@ -63,14 +63,14 @@ toy = ms.SelectionProblem(small, means, 0 * means, model_cost=[0, 0])
 toll = replace(toy, switch_cost=[[0, 0.3], [0.3, 0]])
 for c in ([0, 0], [0, 1]):
     print(c, f"{toy.total_cost(c):.3f}, if a switch costs 0.3: {toll.total_cost(c):.3f}")
-pull = ms.prior_pull(replace(line, horizon=1), [0.5], gains=half[:1])  # of what xi_0 becomes
+pull = ms.prior_pull(replace(line, horizon=1), [0.5], gains=half[:1])  # the belief is off by 0.5
 assert np.isclose(pull, 0.125) and np.isclose(pull, 2 * small[1, 0] * 1.0)
 assert np.diff(toy.total_cost([[0, 0], [0, 1]])) < 0 < np.diff(toll.total_cost([[0, 0], [0, 1]]))
 
 # %% [markdown]
 # ## What does your controller know?
 #
-# It picks the pattern, and so $\Psi$ (notebook 1):
+# The answers pick the pattern, and so $\Psi$ (notebook 1):
 #
 # 1. Do models measure the **state**? Fed back as it is: `measurement`. Through an observer with
 #    gains: `filter`.
@@ -111,15 +111,16 @@ for w, name in enumerate(suite.names):
     print(f"{w}: {name:12} {price[name]:5.1f} ms", *entry, f" misses {missed[0, w]:.0%}", sep="  ")
 
 # %% [markdown]
-# Bias ± spread at 80 and 45 ft, and the share of looks at 80 ft that gave nothing. The two slow
-# detectors read too low, the quick ones too high. The `Kernel` weighs views by nearness (30% in
-# altitude), and lets errors grow with altitude. Every second view is kept for the rehearsal.
+# Bias ± spread at 80 and 45 ft, barometer included, and the share of looks at 80 ft that gave
+# nothing. The two slow ones read too low, the others too high. The `Kernel` weighs views by
+# nearness (30% in altitude), and lets errors grow with altitude. Every second view is kept for the
+# rehearsal.
 #
 # ## The robot
 #
-# **Yours**: $A$ and $B$ for your step; deviations allowed (a weight is one over its square, so
-# one step at the allowance costs 1); what you expect of the world, here gusts of 0.5 ft/s² and
-# errors of 1 ft, from which the gains follow.
+# **Yours**: $A$, $B$, here of height and speed; $C$ (detectors measure $C^+ x$); deviations
+# allowed (a weight is one over its square, so one step at the allowance costs 1); what you expect
+# of the world, gusts of 0.5 ft/s² and errors of 1 ft, from which gains follow.
 
 # %%
 A, B = np.array([[1, dt], [0, 1]]), np.array([[dt**2 / 2], [dt]])  # u in ft/s^2, held over a step
@@ -129,13 +130,14 @@ Psi = ms.psi(task, "filter", gains=gains)
 print("gains", *gains[0].ravel().round(2), " echo:", *(Psi[25, 25:36:2] / Psi[25, 25]).round(2))
 
 # %% [markdown]
-# The *echo* is $\Psi_{25,k} / \Psi_{25,25}$ for $k = 25, 27, \dots$: an error meets those of the
-# next nine steps, almost two seconds.
+# The *echo* is $\Psi_{25,k} / \Psi_{25,25}$ for $k = 25, 27, \dots$: an error adds to its like in
+# the next nine steps, almost two seconds; later ones weakly cancel it.
 #
 # ## The schedule
 #
-# **Yours**: what a millisecond is worth ($\beta$: we would pay 1,000 ms for one step at the
-# allowance of 1 ft), what loading a detector takes (5 ms), how much there is in all (1,200 ms).
+# It minimizes the expected $e^\top \Psi e$ (control cost) plus $\beta$ times the time. **Yours**:
+# $\beta$ (we would pay 1,000 ms for one step at the allowance of 1 ft), what loading a detector
+# takes (5 ms), the budget (1,200 ms).
 
 # %%
 free = ms.SelectionProblem.from_suite(Psi, suite, beta=1 / 1000)
@@ -192,8 +194,9 @@ plt.show()
 #
 # ## The message
 #
-# A schedule travels as strict JSON. The robot derives cost and root bound anew, and refuses a
-# message that does not add up. What lies between the two is the search's word (notebook 3).
+# A schedule travels as strict JSON. The robot derives cost and root bound (known before searching)
+# anew, and refuses a message that does not add up. What lies between the two is the search's word
+# (notebook 3).
 
 # %%
 received = ms.Schedule.from_json(message := plan.to_json())
@@ -250,7 +253,7 @@ for c in (schedules["greedy"], *constant):
 # ## Planning anew
 #
 # At every step the robot plans the rest again, with the rest of $\Psi$. What the filter already
-# believes wrongly is the pull: $2\Psi_{\mathrm{rest,past}}$ times the mean errors so far.
+# believes wrongly enters as the pull: $2\Psi_{\mathrm{rest,past}}$ times the mean errors so far.
 # `receding_horizon` keeps the books: budget left, detector in memory. In the last of three descents
 # number 4 breaks at step 20.
 
@@ -288,8 +291,7 @@ assert 1.3 < alike / free.total_cost(schedules["optimum"]) < 1.33
 
 # %% [markdown]
 # Without news planning anew changes nothing: the tail of an optimum is optimal, **given the pull**.
-# Without it the robot replans itself into the drift that it had planned against. When number 4
-# breaks, others take its place.
+# Without it the robot replans itself into the drift that it had planned against.
 #
 # ## Before you trust it
 #
@@ -305,10 +307,10 @@ assert 1.3 < alike / free.total_cost(schedules["optimum"]) < 1.33
 # by 0.6, the optimum costs 7.57, not 5.74. Costs are expectations: keep your safety monitor.
 #
 # **In one paragraph.** You bring a file of residuals, five matrices with gains, prices. What your
-# controller knows picks $\Psi$. A filter's couples steps, so detectors of opposite bias should take
-# turns; who judges step by step pays a third more. Switching costs and a budget keep the
-# certificate. The robot checks it, and plans anew with the pull. Rehearse on views that no fit has
-# seen.
+# controller knows picks $\Psi$. A filter's couples steps, here so that opposite biases should take
+# turns; who judges step by step pays almost a third more. Switching costs and a budget keep the
+# certificate. The robot checks cost and root bound; it plans anew with the pull. Rehearse on views
+# that no fit has seen.
 #
 # ## Recall
 #
