@@ -138,7 +138,7 @@ __version__ = "0.2.0"
 
 SEARCH_SLACK, MERGING = 1e-10, 30
 PRICING_GAP = 1e-4  #: of the problems that price a budget, whose dual leaves more open than that
-PERTURBATIONS = 20  #: trials of `local_search.perturbed` where moves cost something, too
+PERTURBATIONS = 20  #: tries of `local_search.perturbed` where moves cost something, too
 WIDTHS = [64 * 8**k for k in range(8)]  #: labels that the passes of `dynamic_program` keep a step
 
 

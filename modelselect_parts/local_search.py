@@ -140,7 +140,7 @@ def descend(
 
 
 def perturbed(
-    form: Form, choices: Choices, trials: int, noise: float, time_left: Callable[[], float]
+    form: Form, choices: Choices, tries: int, noise: float, time_left: Callable[[], float]
 ) -> Choices:
     """Set a random interval to a random model, search on from there, keep what is better; repeat.
 
@@ -150,7 +150,7 @@ def perturbed(
     """
     (H, W, _), rng = form.mean.shape, np.random.default_rng(0)
     best, cost = choices, _cost(form, choices)
-    for _ in range(trials):
+    for _ in range(tries):
         first, last = np.sort(rng.integers(0, H + 1, 2))
         c, w = best.copy(), rng.integers(W)
         c[first:last] = np.where(form.linear[:, w] < np.inf, w, best)[first:last]

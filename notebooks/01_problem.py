@@ -31,7 +31,7 @@ import numpy as np
 import landing
 import modelselect as ms
 
-# %% alt="Block diagram. The world's s reaches small, medium and large perception models; a switch, set by the schedule, passes one estimate, s hat = s + e, to the controller, which commands the robot by u. The world's s pushes the robot, too. Its state x goes back to the controller by a dashed arrow marked feedback, not in every pattern." tags=["hide-input"]
+# %% alt="Block diagram. The world's s reaches three perception models and the robot. A switch, set by the schedule, passes one estimate, s hat = s + e, to the controller, which commands the robot by u. A dashed arrow, feedback if any, leads its state x back." tags=["hide-input"]
 plt.rcParams.update(landing.STYLE)
 BLUE, GREEN, RED = "#0072B2", "#009E73", "#D55E00"
 figure, axes = plt.subplots(figsize=(12, 4))
@@ -215,7 +215,7 @@ for information in TABLE:
 # steps cost *together*, beyond that. Red: errors of one sign make each other dearer. Blue: they
 # cancel, in part. Below: what each step pays if only the estimate of step 20 is wrong, by 1.
 
-# %% alt="Three columns. Causal: the matrix Psi is a diagonal, and of an error at step 20 step 20 alone pays, 0.025. Preview: a narrow red band; steps up to 20 pay, most from step 13 on, and none after, 0.139 in all. Open loop: a wide red diagonal stripe with a blue, negative one some 15 steps off it; the same steps pay as under preview, and then again until the end, 0.388 in all." tags=["hide-input"]
+# %% alt="Causal: Psi is a diagonal; step 20 alone pays, 0.025. Preview: a red band; steps 13 to 20 pay most, none later, 0.139 in all. Open loop: a wide red stripe, a blue one 15 steps off; the same steps pay, then others until the end, 0.388 in all." tags=["hide-input"]
 figure, panels = plt.subplots(2, 3, sharex=True, sharey="row", figsize=(13, 7.4))
 words = {"causal": "now", "preview": "now, foresight", "open_loop": "now, foresight, memory"}
 bills = {information: psi_by_step(boat, information)[:, 20, 20] for information in words}
@@ -261,7 +261,7 @@ for Q_final in (1, 100):
 # This robot, all matrices 1, plans once. No input comes, but models report +1 always, or random
 # signs, or +1 and -1 in turn:
 
-# %% alt="Positions over 20 steps of a robot that plans once, fed errors of size 1. The biased model makes it drift away in a straight line to about -20. Thirty runs with random signs wander apart in a fan, up to 10 from zero. With alternating signs it stays within 1 of zero. The legend gives their mean regrets." tags=["hide-input"]
+# %% alt="Positions over 20 steps, errors of size 1. The biased model makes the robot drift in a straight line to about -20. Thirty runs with random signs fan out, up to 10 from zero. With alternating signs it stays within 1." tags=["hide-input"]
 fans = {
     "noisy": (rng.choice([-1.0, 1.0], (3000, 20, 1)), BLUE, 1, "-"),
     "biased": (np.ones((1, 20, 1)), RED, 4, "-"),

@@ -46,7 +46,7 @@ print(f"Psi = {toy.psi.round(3).tolist()}\n{toy.total_cost(nine).reshape(3, 3).r
 #
 # Every schedule costs their sum:
 
-# %% alt="Nine bars from the cheapest schedule, 0.725, to the dearest, 2.1: every bar is the same bound 0.258, plus 0.48 for each use of b2, plus a square. A dotted line at 0.725: the five bars of schedules with b2 pass it by bound and reduced costs alone." tags=["hide-input"]
+# %% alt="Nine bars from the cheapest schedule, 0.725, to the dearest, 2.1: each is the bound 0.258, plus 0.48 for each use of b2, plus a square. The five with b2 pass 0.725 without their square." tags=["hide-input"]
 plt.rcParams.update(landing.STYLE)
 ORANGE, BLUE = (landing.LOOK[name]["color"] for name in ("Optimal", "Best Single"))
 GREY = "#999999"
@@ -158,7 +158,7 @@ assert possible.sum() == 150 and possible[np.arange(150), claim.choices].all()
 # from the model of step 0. So each label is a parabola over $v$. A bar shows where that is within
 # the room. The dashed label runs a fourth model.
 
-# %% alt="Three equal parabolas over v, cut off by a line at the room, 0.467. Bars above that line show where each is below it. The bar of b0 reaches left beyond the bar of b1: it lives. The dashed parabola lies above that of b1 until they meet over the room, its bar is inside the bar of b1: it dies." tags=["hide-input"]
+# %% alt="Three equal parabolas over v and a line at the room, 0.467. Bars show where each is below it. That of b0 reaches left beyond that of b1: it lives. That of the dashed one lies inside that of b1: it dies." tags=["hide-input"]
 low, _ = ms.reference_bound(toy, [2 / 45, 4 / 45])
 delta, v = 0.725 - low, np.linspace(-1.6, 1.6, 400)
 figure, axes = plt.subplots(figsize=(10, 5))
@@ -299,7 +299,7 @@ np.testing.assert_allclose(answer.cost, ms.enumerate_schedules(limited).cost)
 # best schedule known, nothing below is better. If not, split a step: a child for each model. The
 # module's tree for the longer cart (reduced costs save children):
 
-# %% alt="A tree of 16 nodes as an indented list. The root's bound is 10.0281. Its four children settle step 2, theirs other steps; each node names step and model. The six that were split show bounds below the optimum 11.5894, the last by 0.0001; below the dotted leaves nothing is cheaper than it." tags=["hide-input"]
+# %% alt="A tree of 16 nodes as an indented list, each with step and model. The root's bound is 10.0281; its four children settle step 2. The six nodes that were split have bounds below the optimum, 11.5894, the last by 0.0001." tags=["hide-input"]
 tree = ms.branch_and_bound(problem).work["tree"]
 split, trail = {node.parent for node in tree}, {-1: ()}
 for k, node in enumerate(tree):

@@ -119,7 +119,7 @@ print(f"fall {fall:.1f}; growth alone {growth**150:.1f}; no growth {calm[0] / ca
 assert 20 < fall < 21 and growth**150 < 2.7 and calm[0] / calm[75] > 9
 assert abs(np.linalg.eigvals(damped)).max() < 1 + 1e-9
 
-# %% alt="Above, the optimal model by step: b4 and b5 at first, more and more b3, b2 and b1 after step 75, b0 in the last dozen. Below, on a log scale, the sensitivity relative to step 0: it falls 20-fold by step 75 and far more at the end; without a growing mode nearly as steeply; growth alone is a line, down by 2.7 at step 75." tags=["hide-input"]
+# %% alt="Above, the optimal model by step: b4 and b5 at first, smaller ones after step 75, b0 in the last dozen. Below, the sensitivity relative to step 0: it falls 20-fold by step 75; without a growing mode nearly as steeply; growth alone by 2.7." tags=["hide-input"]
 figure, (above, below) = plt.subplots(2, sharex=True, figsize=(10, 6.5))
 above.step(range(H), optimal.choices, where="mid", color=ORANGE, lw=2)
 above.set(yticks=range(8), yticklabels=suite.names, title="Accuracy is bought early")
@@ -195,7 +195,7 @@ label = "Animation: altitude and model in use over time of Optimal, Best Single 
 template = (Path(landing.__file__).parent / "notebooks" / "player.html").read_text("utf-8")
 HTML(Template(template).substitute(name="film", label=label, data=json.dumps(film)))
 
-# %% alt="Altitude over 1.5 seconds in eight panels of different scales; all pass through the ground. Oracle comes down from 1000 to minus 220 and All Large with it. Clairvoyant ends near minus 900, Optimal near minus 950, Best Single at minus 1450, Random near minus 5000, Greedy near minus 8300, All Small near minus 14000." tags=["hide-input"]
+# %% alt="Altitude over 1.5 seconds, eight panels; all pass through the ground. Oracle and All Large come down from 1000 to minus 220, Clairvoyant and Optimal to some minus 900, Best Single to minus 1450, Random, Greedy and All Small to minus 5000 to 14000." tags=["hide-input"]
 figure = landing.plot_landing(result)
 figure.set_size_inches(10, 6.2)
 figure.suptitle("No policy lands (dotted: Oracle; note the scales)")

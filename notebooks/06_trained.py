@@ -36,7 +36,7 @@ def holds(sentence, *facts):
     print("holds:", sentence)
 
 
-# %% alt="Four boxes in a row, joined by arrows: pictures whose errors are known, a table of means and variances, a schedule with a promise, a flight by sight. Red notes: above the schedule, luck; above the flight, place and scene. A long arrow leads back from the flight to the pictures: label landings." tags=["hide-input"]
+# %% alt="Four boxes in a row: pictures whose errors are known, a table of means and variances, a schedule with a promise, a flight by sight. Red notes: luck at the schedule, place and scene at the flight. An arrow leads back: label landings." tags=["hide-input"]
 plt.rcParams.update(landing.STYLE)
 ORANGE, BLUE = (landing.LOOK[name]["color"] for name in ("Optimal", "Best Single"))
 figure, axes = plt.subplots(figsize=(12, 3.4))
@@ -78,7 +78,7 @@ np.testing.assert_allclose([toy.trace(), toy.sum()], [0.38125, 0.50625])
 # Each row is a landing through one *scene*: light, ground and clutter. How the camera is held is
 # drawn anew for every picture.
 
-# %% alt="Grey pictures in eight columns from 100 ft down to 0 ft and four rows: three landings with other light, ground and clutter, a heading drawn for each picture, and the third once more in the coarse pixels of b7. The round pad with its H is a small spot at 100 ft and larger than the picture from 5 ft down." tags=["hide-input"]
+# %% alt="Grey pictures, eight columns from 100 ft down to 0 ft: three landings in other light, clutter and headings, the third again in the coarse pixels of b7. The round pad with its H fills the picture from 5 ft down." tags=["hide-input"]
 figure = landing.plot_gallery(seed=0)
 figure.set_size_inches(10, 6)
 figure.suptitle("The nearer, the larger the pad (last row: as b7 sees it)")
@@ -98,7 +98,7 @@ price = landing.model_cost(trained.networks, "counted")
 error = trained.residuals.residual.reshape(8, 897)  # all models saw the same pictures
 z = trained.residuals.altitude[:897] + perception.MOUNT
 
-# %% alt="Left, the training error of b7 falls over 30 epochs from 0.7 to under 0.1, most of it in the first three. Middle, root mean square errors with intervals fall with the price from 20 ft for b0 to about 9 ft for b5, then level off. Right, the size of the errors of b7 against distance, both logarithmic: a cloud that rises with the dotted line of a tenth of the distance, from under 1 ft to tens of feet." tags=["hide-input"]
+# %% alt="Left, the training error of b7 falls over 30 epochs from 0.7 to under 0.1. Middle, root mean square errors fall with the price from 20 ft for b0 to about 9 ft for b5, then level off. Right, errors of b7 rise with distance, about a tenth of it." tags=["hide-input"]
 grows = [e[z > 75].std() / e[z < 10].std() for e in (error[7], error[7] / z)]
 holds("b7's errors grow over 8-fold on the way up, scaled under 4-fold", grows[0] > 8, grows[1] < 4)
 figure, (training, accuracy, growth) = plt.subplots(1, 3, figsize=(14, 4.6))
@@ -135,7 +135,7 @@ settings = landing.Settings("trained", **landing.DEFAULTS["trained"])  # alpha 0
 kernel = landing.run_experiment(settings, trained=trained)
 bins = landing.run_experiment(replace(kernel.settings, fit="bins"), trained=trained)
 
-# %% alt="Left, the model of each step: by bins it jumps up and down between b6 and b0, by the kernel it goes from b5 down to b0 in a few changes, one of them upwards. Right, control against perception cost on logarithmic scales: All Small is dear by control, All Large by perception; Optimal pays less than half of what Best Single pays for perception, at nearly its control cost; Random lies above both." tags=["hide-input"]
+# %% alt="Left, the model of each step: by bins it jumps up and down from b6 to b0, by the kernel it goes from b5 to b0 in a few changes. Right, control against perception cost: Optimal pays less than half of what Best Single pays for perception, at nearly its control cost." tags=["hide-input"]
 in_bin, by_kernel = bins.suite.sample_size.max(), kernel.suite.sample_size.min()
 holds("35 pictures count in a bin, over 150 by the kernel", in_bin < 40, by_kernel > 150)
 holds("the optimum of bins promises less", bins.optimal.cost < kernel.optimal.cost)
@@ -185,7 +185,7 @@ tracks, cost, e = landing.fly_on_pictures(kernel, s, kernel.optimal.choices, see
 ideal = landing.fly(kernel.landing, "measurement", s, 0 * s[..., None], None)[1]  # no errors
 
 
-# %% alt="Altitude over 20 seconds, 90% band of 200 landings by sight: they stay near the dotted glide path, the band reaching some 20 ft above it and 10 below in the first seconds." tags=["hide-input"]
+# %% alt="Altitude over 20 seconds: the band of 90% of 200 landings stays near the dotted glide path, widest in the first seconds, some 20 ft above it and 10 below." tags=["hide-input"]
 def regret(errors, run):
     """Return e'Psi e of each landing (N,), from errors (N, 150, 1)."""
     return np.einsum("nti,tk,nki->n", errors, run.problem.psi, errors)
@@ -216,7 +216,7 @@ filtered = landing.run_experiment(like, trained=trained)
 stay = landing.fly_on_pictures(filtered, s, filtered.optimal.choices, seed=2)[2]
 scattered = np.random.default_rng(3).permuted(stay, axis=0)
 
-# %% alt="Left, the correlation of two errors of a landing against the steps between them: as met it falls from 0.3 at one step to 0.2 at ten and near 0 at forty; scattered it is 0. Right, bars of regret, as met over scattered: 1 under measurement, 2.4 under the filter." tags=["hide-input"]
+# %% alt="Left, the correlation of two errors of a landing: as met it falls from 0.3 at one step between them to near 0 at forty; scattered it is 0. Right, regret as met over scattered: 1 under measurement, 2.4 under the filter." tags=["hide-input"]
 together, apart = (regret(errors, filtered).mean() for errors in (stay, scattered))
 mixed = np.random.default_rng(3).permuted(e, axis=0)
 holds("under the filter the same errors, scattered, cost less than 2/3", apart < 2 / 3 * together)
@@ -257,7 +257,7 @@ plt.show()
 # The rival is Best Single, the best constant choice, in the same gusts and scenes. Intervals (95%)
 # are over the five trainings; a difference whose interval contains 0 is **undecided**.
 
-# %% alt="Two panels over the stages bins, kernel, calibrated, on-policy and filter, with intervals. Left, regret flown over promised: 1.8, 1.6, 1.4, 1.1 and 2.0; only that of on-policy reaches the dotted line at 1. Right, the lead over Best Single in percent: 4, 11, 9, 12 and 6; those of bins, on-policy and filter reach the dotted line at 0, that of filter from -24 to 35." tags=["hide-input"]
+# %% alt="Stages bins, kernel, calibrated, on-policy and filter, with intervals. Left, regret flown over promised: 1.8, 1.6, 1.4, 1.1 and 2.0; only on-policy reaches 1. Right, the lead over Best Single in percent: 4, 11, 9, 12 and 6; bins, on-policy and filter reach 0." tags=["hide-input"]
 with open("../benchmarks/results/stages.csv", encoding="utf-8") as file:
     rows = list(csv.DictReader(file))
 STAGES = ["bins", "kernel", "calibrated", "on-policy", "filter"]
