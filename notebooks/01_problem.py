@@ -16,9 +16,9 @@
 # $$x_{t+1} = A x_t + B u_t + C s_t, \qquad
 # J = \sum_{t=1}^{H-1} x_t^\top Q x_t + x_H^\top Q_f x_H + \sum_{t=0}^{H-1} u_t^\top R u_t .$$
 #
-# It never sees $s$: wind, waves, a slope. A perception model tells it $\hat s = s + e$. Larger
-# models err less and cost more. **The question**: which model should run at which step? This
-# notebook finds what errors cost.
+# It never sees $s_t$, $p$ numbers: wind, waves, a slope. A perception model tells it $\hat s = s +
+# e$. Larger models err less and cost more. **The question**: which model should run at which step?
+# This notebook finds what errors cost.
 
 # %%
 from dataclasses import replace
@@ -76,7 +76,7 @@ plt.show()
 # Now $s$ is estimated with errors $e_0$ and $e_1$. The first command is off by $\frac13 (e_0 +
 # e_1)$, up to its sign. The second depends on the controller:
 #
-# - `preview` looks at $x_1$ before. Only $e_1$ misleads it: it is off by $\frac12 e_1$.
+# - `preview` looks at $x_1$ first. Only $e_1$ misleads it: it is off by $\frac12 e_1$.
 # - `open_loop` plans once, for an $x_1$ that is wrong by $e_0$: it is off by $\frac12 (e_0 + e_1)$.
 #
 # In all the errors cost
@@ -84,8 +84,8 @@ plt.show()
 # $$\text{preview: } \tfrac16 (e_0 + e_1)^2 + \tfrac12 e_1^2, \qquad
 # \text{open\_loop: } \tfrac23 (e_0 + e_1)^2 .$$
 #
-# **Predict** what $(1, -1)$ costs each. We fly both, and print the **regret**: here and throughout,
-# the cost fed $s + e$ less the cost of the *same controller* fed $s$.
+# **Predict** what $(1, -1)$ costs each. We fly both, and print the **regret**: the cost fed $s + e$
+# less the cost of the *same controller* fed $s$.
 
 
 # %% tags=["hide-input"]
@@ -103,9 +103,9 @@ for information in ("preview", "open_loop"):
     print(f"{information:9} regret {fed - true}")
 
 # %% [markdown]
-# In the plan the two errors undo each other. Looking repairs what the first one did, and then the
-# second stands alone. So the price depends on **what the controller knows, and when**. We write it
-# $e^\top \Psi e$, with all errors in one column $e$.
+# In the plan the two errors undo each other. `preview` sees the true $x_1$, and the second stands
+# alone. So the price depends on **what the controller knows, and when**. We write it $e^\top \Psi
+# e$, with all errors in one column $e$.
 #
 # ## Any robot: three answers
 #
@@ -130,8 +130,8 @@ for information in ("preview", "open_loop"):
 #
 # In the last two rows the models measure the state, and $s$ pushes unseen.
 #
-# In code each quantity is a matrix that multiplies $e$. `riccati` is LQR's recursion; `q` is what
-# later inputs ask for, carried back step by step:
+# In code each quantity is a matrix that multiplies $e$. `riccati` is LQR's recursion. `push` and `q`
+# are what this input and later ones add to half the slope of the cost to come, at $x_{t+1}$:
 
 # %%
 TABLE = {  # memory, now, foresight
@@ -172,9 +172,8 @@ for information in TABLE:
 # The paper states the policy `preview` and takes $\Psi$ from a source on `open_loop`. Take the $\Psi$ of the
 # controller that runs.
 #
-# **A forecast refreshed at every step** (MPC) is common. Step $t$ pays what it pays
-# under `preview`, for the errors of the forecast made at $t$. No later step uses that forecast. So
-# steps decouple.
+# **With a forecast refreshed at every step** (MPC) step $t$ pays as under `preview`, for the errors
+# of the forecast made at $t$. No later step uses it, so steps decouple.
 #
 # ## Fly it
 #
@@ -298,7 +297,7 @@ for name in ("open_loop", "preview", "causal"):
     assert best.is_optimal
 
 # %% [markdown]
-# The answer depends on the pattern.
+# One error alone is dearest under `open_loop`, this constant one under `preview`: little is blue.
 #
 # **In one paragraph.** Wrong beliefs about the state (memory), this input (now) and later ones
 # (foresight) put commands off. $e^\top \Psi e$ is what all commands pay. By memory and foresight
@@ -314,7 +313,7 @@ for name in ("open_loop", "preview", "causal"):
 # <details><summary>Which patterns let errors of two steps meet, and through what?</summary>
 #
 # `preview` by foresight, `open_loop` by foresight and memory, `filter` by memory. `causal` and
-# `measurement` have neither.
+# `measurement` use an error once.
 #
 # </details>
 # <details><summary>An MPC gets a fresh forecast at every step. Its errors correlate along the forecast. Do steps couple?</summary>
