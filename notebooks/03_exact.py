@@ -75,11 +75,22 @@ plt.show()
 #
 # $$\mathrm{total}(c) = LB(d) + \sum_t r_{t,c_t} + (\mu_c - d)^\top \Psi (\mu_c - d).$$
 #
-# `certificate` computes $LB(d)$ and $r$; its `G` is what a model costs along the tangent. A bad $d$
-# makes the bound low, never wrong. The best $d$, as above, is the mean error of the cheapest
-# **blend**: weights of models in place of a choice (notebook 4).
+# The code's `G` is what a model costs along the tangent:
+
+
+# %%
+def certificate(Psi, mean, linear, d):
+    """Return LB(d) and the reduced costs (H, W), for means (H, W)."""
+    G = 2 * mean * (Psi @ d)[:, None] + linear
+    return G.min(axis=1).sum() - d @ Psi @ d, G - G.min(axis=1, keepdims=True)
+
+
+# %% [markdown]
+# A bad $d$ makes the bound low, never wrong. The best $d$, as above, is the mean error of the
+# cheapest **blend**: weights of models in place of a choice (notebook 4).
 #
-# Check the identity on all schedules of a longer cart (eight steps, four models at 0 to 3):
+# A longer cart has eight steps, four models at 0 to 3. The identity holds for all its schedules, at
+# a random $d$ and the blend's:
 
 
 # %% tags=["hide-input"]
@@ -98,15 +109,6 @@ Psi, mean, linear, steps = problem.psi, problem.mean[:, :, 0], problem.linear, n
 everything = np.indices((4,) * 8).reshape(8, -1).T  # (65536, 8)
 costs = problem.total_cost(everything)
 quick = ms.round_and_swap(problem)  # a schedule, with the blend's d
-
-
-# %%
-def certificate(Psi, mean, linear, d):
-    """Return LB(d) and the reduced costs (H, W), for means (H, W)."""
-    G = 2 * mean * (Psi @ d)[:, None] + linear
-    return G.min(axis=1).sum() - d @ Psi @ d, G - G.min(axis=1, keepdims=True)
-
-
 for d in (np.random.default_rng(0).normal(size=8), quick.reference):  # any d; the blend's
     bound, reduced = certificate(Psi, mean, linear, d)
     away = mean[steps, everything] - d
@@ -114,7 +116,8 @@ for d in (np.random.default_rng(0).normal(size=8), quick.reference):  # any d; t
     np.testing.assert_allclose(bound + reduced[steps, everything].sum(axis=1) + square, costs)
     print(f"LB(d) = {bound:6.2f} <= optimum {costs.min():.2f} <= {quick.cost:.2f}, quickly found")
 room = quick.cost - bound + 1e-9 * quick.cost  # Delta, and a little for rounding
-print((reduced <= room).sum(axis=1).prod(), "schedules left, of", len(costs))
+left = (reduced <= room).sum(axis=1).prod()
+print(f"room {room:.2f}: reduced costs leave {left} schedules, of {len(costs)}")
 
 # %% [markdown]
 # Of the $8^{150}$ schedules of the paper's landing reduced costs leave:
@@ -133,19 +136,20 @@ assert possible.sum() == 150 and possible[np.arange(150), claim.choices].all()
 # ## Labels: what a partial schedule must remember
 #
 # We go from the last step to the first. Under `preview` the square is a regret, as in notebook 1,
-# of deviations $\varepsilon_t = \mu_{t,c_t} - d_t$. Step $t$ feels its own deviation and, through
-# the costate $q$, all later ones ($q_H = 0$):
+# of deviations $\varepsilon_t = \mu_{t,c_t} - d_t$. Step $t$ of a cart feels $h_t =
+# P_{t+1}\varepsilon_t + q_{t+1}$: its own deviation and, in the **costate** $q$, all later ones. It
+# pays $h_t^2/S_t$ and leaves $q_t = (1-K_t)\,h_t$ to the step before ($P$, $K$: Riccati matrices and
+# gains; $S_t=R+P_{t+1}$).
 #
-# $$h_t = P_{t+1} C \varepsilon_t + q_{t+1}, \qquad q_t = (A - BK_t)^\top h_t .$$
+# Two steps: $q_2=0,\ P_2=1,\ S_1=2,\ K_1=\frac12$, then $P_1=\frac32,\ S_0=\frac52$. If b1 runs
+# at step 0, $P_1\varepsilon_0=-0.817$:
 #
-# Step $t$ pays $(B^\top h_t)^\top S_t^{-1} B^\top h_t$ ($P$, $K$: Riccati matrices and gains;
-# $S_t=R+B^\top P_{t+1}B$). Two steps have $P_2 = 1,\ S_1 = 2,\ A - BK_1 =
-# \frac12,\ P_1 = \frac32,\ S_0 = \frac52$:
+# | step 1 | pays | leaves $q_1$ | $h_0$ | step 0 pays | in all |
+# |---|---|---|---|---|---|
+# | b1 | 0.173 | -0.294 | $-0.817-0.294$ | 0.494 | 0.667 |
+# | b0 | 0.415 | 0.456 | $-0.817+0.456$ | 0.052 | 0.467 |
 #
-# - At step 1, b1 deviates by -0.589, pays $0.589^2/2 = 0.173$, leaves $q_1 = -0.294$. b0 pays
-#   0.415, leaves 0.456.
-# - So far b1 is cheaper. But b1 at step 0 cancels most of what b0 left: $h_0 =
-#   -\frac32\cdot0.544 + 0.456$ pays 0.052, 0.467 in all. After b1 the least is 0.667.
+# b1 was cheaper so far. But what b0 leaves cancels over half of the -0.817.
 #
 # A **label** is a schedule from some step to the last. It keeps its models, its extra cost $x$
 # (reduced costs and squares) and its costate, all that earlier steps feel of it.
@@ -154,9 +158,9 @@ assert possible.sum() == 150 and possible[np.arange(150), claim.choices].all()
 #
 # **Out of room**: its extra cost exceeds $\Delta$.
 #
-# **Dominated.** On two steps, step 0 adds a reduced cost and $(v + q)^2/S_0$ to a label; $v$ comes
-# from the model of step 0. So each label is a parabola over $v$. A bar shows where that is within
-# the room. The dashed label runs a fourth model.
+# **Dominated.** On two steps, step 0 adds a reduced cost and $(v + q)^2/S_0$ to a label; $v$,
+# above -0.817, comes from the model of step 0. So each label is a parabola over $v$. A bar shows
+# where that is within the room. The dashed label runs a fourth model.
 
 # %% alt="Three equal parabolas over v and a line at the room, 0.467. Bars show where each is below it. That of b0 reaches left beyond that of b1: it lives. That of the dashed one lies inside that of b1: it dies." tags=["hide-input"]
 low, _ = ms.reference_bound(toy, [2 / 45, 4 / 45])
@@ -192,37 +196,36 @@ assert spans["b0"][0] < spans["b1"][0]
 #
 # $$\rho + \sqrt{\Delta - x_j} \le \sqrt{\Delta - x_i} .$$
 #
-# With more steps or states parabolas become bowls, bars become balls, and the rule stays. A matrix
-# `F` adds up what earlier steps feel of a costate. The whole search, to copy:
+# With more steps it stays: `felt` adds up what earlier ones feel of a costate, $1/S_0$ above. With
+# more states bars become balls (notebook 0). The whole search, for a cart:
 
 
 # %%
-def dominated(j, i, F, room):
+def dominated(j, i, felt, room):
     """Say whether label i is at most label j wherever j is within the room."""
-    apart = j[1] - i[1]
-    rho = np.sqrt(max(apart @ F @ apart, 0))
+    rho = np.sqrt(felt) * abs(j[1] - i[1])
     return rho + np.sqrt(room - j[0]) <= np.sqrt(room - i[0])
 
 
 def search(task, mean, reduced, d, room):
     """Return the cheapest label (extra cost, costate, models), and how many each step kept."""
-    law, B, F, kept = ms.riccati(task), task.B, [0 * task.A], []
-    for S, closed in zip(law.S, law.closed_loop, strict=True):
-        F.append(B @ np.linalg.solve(S, B.T) + closed @ F[-1] @ closed.T)
-    alive = [(0.0, np.zeros(task.n), ())]
+    law = ms.riccati(task)
+    P, S, closed = law.P.ravel(), law.S.ravel(), law.closed_loop.ravel()  # closed: 1 - K
+    felt, labels, kept = [0.0], [(0.0, 0.0, ())], []
+    for t in range(task.horizon):
+        felt.append(1 / S[t] + closed[t] ** 2 * felt[t])
     for t in reversed(range(task.horizon)):
         grown = []
-        for x, q, later in alive:
-            for w, mu in enumerate(mean[t]):
-                h = law.P[t + 1] @ task.C[:, 0] * (mu - d[t]) + q
-                paid = reduced[t, w] + B.T @ h @ np.linalg.solve(law.S[t], B.T @ h)
-                grown.append((x + paid, law.closed_loop[t].T @ h, (w, *later)))
-        alive = []
-        for label in sorted(grown, key=lambda label: label[0]):  # cheapest first
-            if label[0] <= room and not any(dominated(label, i, F[t], room) for i in alive):
-                alive.append(label)
-        kept.append(len(alive))
-    return alive[0], kept
+        for x, q, later in labels:
+            for model, error in enumerate(mean[t]):
+                h = P[t + 1] * (error - d[t]) + q
+                grown.append((x + reduced[t, model] + h**2 / S[t], closed[t] * h, (model, *later)))
+        labels = []
+        for new in sorted(grown):  # cheapest first
+            if new[0] <= room and not any(dominated(new, old, felt[t], room) for old in labels):
+                labels.append(new)
+        kept.append(len(labels))
+    return labels[0], kept
 
 
 (extra, _, models), kept = search(task, mean, reduced, d, room)
@@ -250,13 +253,11 @@ assert lie.is_optimal and lie.cost > 1.01 * costs.min() and lie.proof == "search
 # Let a change of model cost 0.5. Now a schedule is a **path**: its nodes cost `G`, its arcs 0.5
 # where the model changes. The cheapest path takes the place of the sum of minima.
 #
-# Let a schedule also spend at most a budget of 3 on models and changes. Nodes and arcs pay any price
-# $\lambda \ge 0$ on spending. The cheapest path, less $d^\top \Psi d$ and $3\lambda$, is the bound:
-#
-# $$\mathrm{total} = LB(d, \lambda) + (\text{path} - \text{cheapest path})
-# + \lambda\,(3 - \text{spent}) + \text{square}.$$
-#
-# Within the budget no excess is negative. On the longer cart, $\lambda$ from a blend that spends 3:
+# Let a schedule also spend at most a budget of 3 on models and changes. Each unit spent then
+# costs any $\lambda \ge 0$ more. The cheapest path, less $d^\top \Psi d$ and $3\lambda$, is the
+# bound. Above it come the path's excess over the cheapest, $\lambda$ times what is left of the
+# budget, and the square: within the budget none is negative. On the longer cart, $\lambda$ from a
+# blend that spends 3:
 
 # %% tags=["hide-input"]
 limited = replace(problem, switch_cost=0.5 * (1 - np.eye(4)), budget=3.0)
@@ -324,10 +325,11 @@ assert min(leaves) >= costs.min() * (1 - 1e-9) and tree[0].bound < costs.min()
 # %% [markdown]
 # Write `branch(problem)`, about 20 lines, that returns choices, cost and the number of
 # relaxations. Keep a list of boolean tables `allowed` (H, W), at first all true, and a best
-# schedule. Take a table; `ms.relax_interior_point(problem, allowed=allowed, ceiling=cost)` gives a
-# `.bound` and `.weights` (H, W), or stops early at the ceiling. Round the weights to a schedule;
-# better than the best? Drop the table if its bound reaches `cost * (1 - 1e-9)` or if one model a
-# step is left. Otherwise split the step of the most divided weights.
+# schedule (cost at first `np.inf`). Take a table; `ms.relax_interior_point(problem,
+# allowed=allowed, ceiling=cost)` gives a `.bound` and `.weights` (H, W), or stops early at the
+# ceiling. Round the weights to a schedule; better than the best? Drop the table if its bound
+# reaches `cost * (1 - 1e-9)` or one model a step is left. Otherwise split the step of the most
+# divided weights.
 
 
 # %% tags=["exercise"]
