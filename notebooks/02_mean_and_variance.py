@@ -12,8 +12,8 @@
 # `eq:perModelExp`, `eq:perModelVar`, `eq:jp`, `eq:jtot`, `thm:equivalence`,
 # `opt:model_selection`.
 #
-# Errors are random. A model card prints one number for them, a mean square or an accuracy. What
-# does the controller feel?
+# Errors $e$ cost a controller $e^\top \Psi e$ (notebook 1). They are random. A model card prints one
+# number for them, a mean square. What does the controller feel?
 
 # %%
 from dataclasses import replace
@@ -33,8 +33,7 @@ BLUE, GREEN, RED = (landing.LOOK[name]["color"] for name in ("Best Single", "Gre
 #
 # Let $\Psi = (0.9, 0.3;\ 0.3, 0.6)$, so that errors cost $0.9 e_0^2 + 0.6 e_1^2 + 0.6 e_0 e_1$. A
 # **biased** model errs by $(1, 1)$, a **noisy** one by independent $\pm 1$, an **alternating** one
-# by $(1, -1)$. The squares cost 1.5 each time. The last term is $0.6$ for the biased one, $-0.6$
-# for the alternating one, and averages out for the noisy one:
+# by $(1, -1)$. The squares cost 1.5 each time; the last term $0.6$, 0 on average, and $-0.6$:
 
 # %% alt="Three bars. The biased model costs 2.1: 1.5 for the squares and 0.6 for errors that meet. The noisy one costs 1.5, the squares alone. The alternating one costs 0.9, as its errors cancel by 0.6." tags=["hide-input"]
 names, meet = ["alternating", "noisy", "biased"], np.array([-0.6, 0, 0.6])
@@ -53,7 +52,8 @@ plt.show()
 # %% [markdown]
 # ## In general
 #
-# Let $e = \mu + n$, a mean and a noise; $\Sigma_t$ is the covariance of $n_t$.
+# Let $e = \mu + n$, a mean and a noise; $\Sigma_t$ is the covariance of $n_t$, $\Psi_{tk}$ the block
+# of steps $t$ and $k$.
 #
 # 1. **Linearity** (`eq:expTmp1`): $E[e^\top \Psi e] = \sum_{t,k} E[e_t^\top \Psi_{tk} e_k]$.
 # 2. **The mean splits off**: mixed terms $2\mu^\top \Psi E[n]$ vanish.
@@ -71,15 +71,15 @@ plt.show()
 # \Sigma_{t,c_t})\Big) + \beta \sum_t \kappa_{c_t} .$$
 #
 # Any distribution will do, two models may share their noise (one runs at a time), and components of
-# one step may correlate if $\Sigma_t$ is given as a matrix. (`ass:indepRV` and the lines about
+# one step may correlate if $\Sigma_t$ is a matrix. (`ass:indepRV` and the lines about
 # `eq:expTmp2` are misprinted: [paper.md](paper.md).)
 #
 # **Is it exact?** `thm:equivalence`: the simulated $\alpha J + \beta \sum_t \kappa_{c_t}$, averaged
-# over the noise, and our total (`opt:model_selection`) are least at the same schedules, as they
-# differ by $\alpha J$ of the controller that is fed the truth, which no schedule changes. **With a
-# forecast** (`open_loop`, `preview`) this holds for every $s$; **without** (`causal`), on average over
-# $s$ of mean 0 (notebook 1). A robot on a line, $x_{t+1} = x_t + u_t + s_t$; all schedules of three
-# steps, all signs of the noise and of the pushes $s_t$:
+# over the noise, is our total (`opt:model_selection`) plus $\alpha J$ of the controller that is fed
+# the truth, the same for all schedules. So both have the same minima. **With a forecast**
+# (`open_loop`, `preview`) this holds for every $s$; **without** (`causal`), on average over $s$ of
+# mean 0. A robot on a line, $x_{t+1} = x_t + u_t + s_t$; all schedules of three steps, all signs of
+# the noise and of the pushes $s_t$:
 
 
 # %%
@@ -111,8 +111,8 @@ for information in ("open_loop", "preview", "causal"):
 # %% [markdown]
 # ## What the mean square hides
 #
-# A bias costs $\mathbf 1^\top \Psi \mathbf 1$, noise of equal mean square $\mathrm{tr}\, \Psi$. **Predict**
-# how their ratio grows with the horizon of the robot on a line.
+# A bias of 1 at every step costs $\mathbf 1^\top \Psi \mathbf 1$, noise of equal mean square
+# $\mathrm{tr}\, \Psi$. **Predict** how their ratio grows with the horizon of the robot on a line.
 
 
 # %%
@@ -140,22 +140,22 @@ np.testing.assert_allclose(row.sum() / row[40], 5**0.5, rtol=1e-6)
 
 # %% [markdown]
 # - **Plan once, only the end charged**: $\Psi = \frac{H}{H+1} \mathbf 1 \mathbf 1^\top$, the factor
-#   is $H$: distances that add up against a random walk.
-# - **Preview, position charged**: bracing begins a few steps ahead. $\Psi_{tk}$ decays like
+#   is $H$: equal errors add up to $H$, a random walk to $\sqrt H$.
+# - **Preview, position charged**: the robot braces a few steps ahead. $\Psi_{tk}$ decays like
 #   $a^{|t-k|}$, $a = (3 - \sqrt 5)/2$, and the factor tends to $(1 + a)/(1 - a) = \sqrt 5$. (With
-#   only the end charged it spreads the work, and the factor grows.)
-# - **Causal**: errors never meet. The mean square says it all.
+#   only the end charged it braces from the start: the factor grows.)
+# - **Causal**: $\Psi$ is diagonal, errors never meet. The mean square says it all.
 #
 # So measure bias and variance separately (notebook 7).
 #
 # ## Step by step: right or wrong?
 #
-# Each $\Sigma_t$ stands beside its own $\Psi_{tt}$: **noise never couples steps**. Two means do, by
-# $2\alpha\, \delta_t^\top \Psi_{tk} \delta_k$, $\delta$ being the difference of the models' means. So
-# if all means are 0, or $\Psi$ is block diagonal, the cheapest model of each step is the optimum. Else
-# this *greedy* choice can be wrong. Planned once (which `ms.psi` assumes unless told): a bias of 0.7
-# beside noise of variance 1; then two models that err to opposite sides, beside an exact one that
-# costs 1 a step.
+# Each $\Sigma_t$ stands beside its own $\Psi_{tt}$: **noise drawn anew never couples steps**. Means
+# do: switching models at both $t$ and $k$ costs $2\alpha\, \delta_t^\top \Psi_{tk} \delta_k$ beyond the
+# two alone, $\delta$ the difference of the means. If all means are 0, or $\Psi$ is block
+# diagonal, the model that is cheapest at each step alone is the optimum. Else this *greedy* choice can
+# be wrong. Planned once (`open_loop`, the default): a bias of 0.7 beside noise of
+# variance 1; then two models that err to opposite sides, beside an exact one that costs 1 a step.
 
 # %%
 H = 12
@@ -171,15 +171,15 @@ for name, (mean, variance, price) in cases.items():
 assert test.total_cost(greedy) > test.total_cost([2] * H) > 20 * best.cost
 
 # %% [markdown]
-# The larger mean square wins (one single bias meets no other), and two wrong models in turn beat the
-# right one (12 throughout). Nor does a coin between models help: its expected cost is an average over schedules, and an average is
-# never below its minimum.
+# The larger mean square wins (one bias meets no other), and two wrong models in turn beat
+# the right one (12 throughout; greedy leaves it at the end, where $0.25\, \Psi_{tt} < 1$). A coin
+# between models cannot help: it pays an average over schedules.
 #
 # ## Errors that persist
 #
-# Consecutive pictures look alike. Let noise of variance 1 have correlation $\rho^{|t-k|}$; step 3 of
-# the derivation still holds, $E[e^\top \Psi e] = \sum_{t,k} \Psi_{tk} \rho^{|t-k|}$. For a $\rho$ of
-# -0.6, 0, 0.6 and 1:
+# Consecutive pictures look alike. Let noise of variance 1 have correlation $\rho^{|t-k|}$; step 3
+# still holds, $E[e^\top \Psi e] = \sum_{t,k} \Psi_{tk} \rho^{|t-k|}$. For a $\rho$ of -0.6, 0, 0.6
+# and 1:
 
 # %%
 white = np.ones((H, 1, 1))
@@ -193,18 +193,18 @@ for information in ("open_loop", "preview", "causal"):
     np.testing.assert_allclose(cost[-1], alone.psi.sum())  # that of a constant bias
 
 # %% [markdown]
-# At $\rho = 1$ an error is a bias that was drawn once and stays: what is left after a mean that you
-# know has been subtracted, of a size $\tau$ and a **sign that you do not know**. It is tempting to
-# enter it as a mean, $+\tau$ for one model and $-\tau$ for another. For a single model that is right:
-# a square has no sign. With two it is not. Take two steps, all entries of $\Psi$ equal to 1, both
-# $\tau = 1$: either model alone costs 4; in turn they cost 0 on paper. The biases are independent, so
-# half of the time their signs agree: truly it is 2, the average of 0 and 4.
+# At $\rho = 1$ an error is a bias that was drawn once: what is left when a known mean has been
+# subtracted, of a size $\tau$ and a **sign that you do not know**. It is tempting to enter it as a
+# mean, $+\tau$ for one model, $-\tau$ for another. For a single model that is right: a square has
+# no sign. For two it is not. Take two steps, all entries of $\Psi$ equal to 1, both $\tau = 1$:
+# either model alone costs 4; in turn they cost 0 on paper. But independent signs agree half of
+# the time: truly it is 2, the average of 0 and 4.
 #
-# That is still less than 4. With $\mathbf 1_w$ marking the steps that run model $w$, the cost is
-# $\sum_w \tau_w^2\, \mathbf 1_w^\top \Psi \mathbf 1_w$: where errors meet, it can pay to mix models, a
-# **portfolio**, even if one of them is best alone. Where they do not (`causal`), or where one model
-# is far steadier, at equal prices and noise the steadiest runs alone. `correlated_problem` makes this a
-# selection problem of its own, with one component a model, and `solve` proves its optimum:
+# Still less than 4. With $\mathbf 1_w$ marking the steps that run model $w$, the cost is
+# $\sum_w \tau_w^2\, \mathbf 1_w^\top \Psi \mathbf 1_w$: where errors meet, it can pay to mix models,
+# a **portfolio**, even if one of them is best alone. Where they do not (`causal`), or where one model
+# is far steadier, at equal prices and noise the steadiest runs alone. `correlated_problem` gives each
+# model an error component of its own, and `solve` proves the optimum:
 
 # %%
 tau, quiet = np.array([0.7, 1.0, 1.2]), np.full((H, 3, 1), 0.05)  # quiet is drawn anew each step
@@ -240,10 +240,10 @@ plt.show()
 
 # %% [markdown]
 # **In one paragraph.** A controller feels the mean of the errors through all of $\Psi$, and their
-# covariance within a step through its diagonal blocks. A bias costs up to $H$ times what its square
-# says, or nothing. So mean squares mislead, and choosing step by step can be wrong wherever means
-# meet. Errors that persist meet like a bias, but of unknown sign: they may ask for a portfolio. Next:
-# how to find the best of $W^H$ schedules, with a proof.
+# covariance within a step through its diagonal blocks. A bias costs up to $H$ times what noise of
+# its mean square does. So mean squares mislead, and choosing step by step can be wrong where means
+# meet. Errors that persist meet like a bias of unknown sign: they may ask for a portfolio. Next: how
+# to find the best of $W^H$ schedules, with a proof.
 #
 # ## Recall
 #
@@ -255,8 +255,8 @@ plt.show()
 # </details>
 # <details><summary>Two models have mean square 1 and 2. When is the second one certainly the worse choice, at equal prices?</summary>
 #
-# With $p = 1$, if steps do not meet: block diagonal $\Psi$, or no means. Else look at bias and noise
-# (and at which component errs).
+# If errors have one component and steps do not meet: diagonal $\Psi$, or no means. Else look at
+# bias and noise (and at which component errs).
 #
 # </details>
 # <details><summary>Each of two free models has an unknown persistent bias of size 1. Why alternate?</summary>
@@ -331,8 +331,8 @@ print("Exercise 2: right")
 #
 # Under `preview` with the position charged the factor above stops at $\sqrt 5$. What would raise
 # it: dearer thrust? a heavier end? another $A$? Predict, then build `patient()`: a `ControlTask`
-# with $n = p = 1$, $Q > 0$ and $H \ge 60$ whose factor under `preview` is above 15, and a sentence
-# that says why.
+# with one state, one push, $Q > 0$ and $H \ge 60$ whose factor under `preview` is above 15, and a
+# sentence that says why.
 
 
 # %% tags=["exercise"]
