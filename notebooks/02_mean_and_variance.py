@@ -70,16 +70,15 @@ plt.show()
 # $$\mathrm{total}(c) = \alpha \Big(\mu_c^\top \Psi \mu_c + \sum_t \mathrm{tr}(\Psi_{tt}
 # \Sigma_{t,c_t})\Big) + \beta \sum_t \kappa_{c_t} .$$
 #
-# Any distribution will do, two models may share their noise (one runs at a time), and components of
-# one step may correlate if $\Sigma_t$ is a matrix. (`ass:indepRV` and the lines about
-# `eq:expTmp2` are misprinted: [paper.md](paper.md).)
+# Any distribution will do, and two models may share their noise: one runs at a time.
+# (`ass:indepRV` and the lines about `eq:expTmp2` are misprinted: [paper.md](paper.md).)
 #
 # **Is it exact?** `thm:equivalence`: the simulated $\alpha J + \beta \sum_t \kappa_{c_t}$, averaged
 # over the noise, is our total (`opt:model_selection`) plus $\alpha J$ of the controller that is fed
 # the truth, the same for all schedules. So both have the same minima. **With a forecast**
 # (`open_loop`, `preview`) this holds for every $s$; **without** (`causal`), on average over $s$ of
-# mean 0. A robot on a line, $x_{t+1} = x_t + u_t + s_t$; all schedules of three steps, all signs of
-# the noise and of the pushes $s_t$:
+# mean 0. The folded cell tries it on a robot on a line, $x_{t+1} = x_t + u_t + s_t$, with all
+# schedules of three steps, all signs of the noise and of the pushes $s_t$:
 
 
 # %%
@@ -88,6 +87,7 @@ def line(H, Q=1.0):
     return ms.ControlTask([[1]], [[1]], [[1]], [[Q]], [[1]], H, Q_final=[[1]])
 
 
+# %% tags=["hide-input"]
 H, alpha, beta, rng = 3, 0.8, 0.2, np.random.default_rng(2)
 mean, spread = rng.normal(size=(H, 3, 1)), rng.uniform(0.1, 0.6, (H, 3, 1))
 every, t = np.array(list(product(range(3), repeat=H))), np.arange(H)
@@ -217,6 +217,8 @@ views = {
 }
 found = {name: ms.solve(problem) for name, problem in views.items()}
 paid = [ms.correlated_cost(free, answer.choices, covariance) for answer in found.values()]
+
+# %% alt="Predicted and true costs of three schedules. As if independent: the steadiest model throughout, 39 predicted and 317 true. As if known: all three in turn, 4 and 222. The portfolio: the steadiest at seven steps, the next at three, the least steady at two, 176 and 176." tags=["hide-input"]
 best = found["portfolio"]
 assert best.is_optimal and np.isclose(best.cost, paid[2]) and paid[2] < 0.6 * paid[0]
 np.testing.assert_allclose(views["as if known, ±τ"].total_cost([0] * H), paid[0])  # one alone
@@ -225,7 +227,6 @@ assert not any(ms.solve(ms.correlated_problem(apart, covariance)).choices)
 steady = ms.persistent_bias(np.array([0.1, 1, 1.2]) ** 2, quiet)
 assert not any(ms.solve(ms.correlated_problem(free, steady)).choices)
 
-# %% alt="Predicted and true costs of three schedules. As if independent: the steadiest model throughout, 39 predicted and 317 true. As if known: all three in turn, 4 and 222. The portfolio: the steadiest at seven steps, the next at three, the least steady at two, 176 and 176." tags=["hide-input"]
 figure, axes = plt.subplots(figsize=(11, 4.4))
 rows = [f"{name}\n{' '.join(map(str, answer.choices))}" for name, answer in found.items()]
 predicted = [answer.cost for answer in found.values()]
