@@ -12,33 +12,34 @@
 #
 # A robot follows $x_{t+1} = A x_t + B u_t + C s_t$ and pays $x^\top Q x + u^\top R u$ at each
 # step. A perception model tells it $\hat s_t = s_t + e_t$; large models err less and cost more.
-# **Which model should run at which step?** The answer in NumPy alone; notebooks 1 to 4 say why it
-# is true. Skim now, come back later.
+# **Which model should run at which step?** The answer in NumPy alone; notebooks 1 to 4 say why.
+# Skim now, come back later.
 #
 # ## Two steps by hand
 #
 # All matrices are 1. The robot sees its state and acts on a forecast (`preview`). Model b0 is free
 # and errs by 1; b1 costs 0.2 and errs by -0.5. Each step bears the name of its function.
 #
-# 1. `riccati`, from the last step: $P_2, S_1, P_1, S_0 = 1, 2, \frac32, \frac52$. A command that is
-#    off by $v$ costs $S_t v^2$ more.
-# 2. `sensitivity`: the last command is off by $\frac12 e_1$, the first by $(\frac32 e_0 + \frac12
-#    e_1) / \frac52$. Together that costs $e^\top \Psi e$, $\Psi = (0.9, 0.3;\ 0.3, 0.6)$. So the
-#    schedule `[0 0]` costs 2.1, `[0 1]` 0.95, `[1 0]` 0.725, `[1 1]` 0.925. Errors that cancel win.
+# 1. `riccati`, from $P_2 = Q$ back: $P_2, S_1, P_1, S_0 = 1, 2, \frac32, \frac52$. A command that
+#    is off by $v$ costs $S_t v^2$ more.
+# 2. `sensitivity`: the last command is off by $\frac12 e_1$, the first, which foresees $e_1$, by
+#    $(\frac32 e_0 + \frac12 e_1) / \frac52$. Together that costs $e^\top \Psi e$, $\Psi =
+#    (0.9, 0.3;\ 0.3, 0.6)$. So `[0 0]` costs 2.1, `[0 1]` 0.95, `[1 0]` 0.725, `[1 1]` 0.925.
+#    Errors that cancel win.
 # 3. `certificate`: the convex $e^\top \Psi e$ lies above its tangent at any point $d$. `reference`
 #    finds $d = (\frac2{45}, \frac4{45})$. Along this tangent errors cost $2 \Psi d = \frac2{15}$ a
 #    unit at either step. So b0 costs $\frac2{15}$, and b1 the same, $-\frac1{15} + \frac15$. With
-#    the tangent's constant, no schedule is below $2 \cdot \frac2{15} - d^\top \Psi d = 0.258$.
-# 4. `search` between 0.258 and 0.725, last step first.
+#    the tangent's constant, no schedule is below $\frac4{15} - d^\top \Psi d = 0.258$.
+# 4. `search`, from the last step back, drops what cannot beat 0.725 or what another always beats.
 #
-# `schedule` does it all, with a narrow search first: a better schedule leaves less room.
-# `PATTERNS` says what the controller knows (see the sheet below).
+# `schedule` does it all. A narrow search first finds the schedule to beat.
+# `PATTERNS` says what the controller knows (the sheet below).
 
 # %% tags=["copy"]
 import numpy as np
 from numpy.linalg import cholesky, pinv, solve
 
-PATTERNS = {  # error m_t of the believed state, from z = A m_{t-1}; e_t in u_t? later e foreseen?
+PATTERNS = {  # m_t (z: A m_{t-1}, before: C e_{t-1}, now: C e_t); e_t in u_t? later e foreseen?
     "open_loop": (lambda z, before, now, gain: z + before, 1, 1),
     "preview": (lambda z, before, now, gain: 0 * z, 1, 1),
     "causal": (lambda z, before, now, gain: 0 * z, 1, 0),
@@ -178,9 +179,8 @@ assert answer.is_optimal and (answer.choices == best).all() and np.isclose(answe
 #
 # A **label** is a partial schedule, from some step to the last. It keeps what it costs above the
 # bound, $x$, and its costate $q$: its errors as earlier steps feel them. Left, above 1 there is no
-# room. Right, a disc for each label of step 15, around its costate, the smaller the less room is
-# left. A disc inside another may go: whatever it can still afford, the other can, at no higher
-# cost.
+# room. Right, the discs of step 15: around a label's costate, of radius $\sqrt{\text{room}-x}$. A
+# disc inside another may go: whatever it can still afford, the other can, at no higher cost.
 
 # %% alt="Left, labels by step, from step 39 to step 0, at the height of their extra cost over the room: at most 29 dots a step are kept, crosses are dropped, all above 1 among them; the line of the optimum climbs from 0 to 1. Right, the discs of step 15 in the plane of costates: 14 kept ones overlap in a long cloud, each filled grey one lies inside a kept one; the optimum's is orange." tags=["hide-input"]
 import matplotlib.pyplot as plt
@@ -207,14 +207,14 @@ for t, (x, q, models), kept in log:
         look = {"edgecolor": edge, "lw": 2, "facecolor": "none" if kept else "#cccccc"}
         disc = plt.Circle(-cholesky(felt).T @ q, np.sqrt(room - x), zorder=2 + kept, **look)
         right.add_patch(disc)
-right.set(title=f"Step {at}: a disc in a disc may go", xlabel="units of $\\rho$")
+right.set(title=f"Step {at}: a disc in a disc may go", xlabel="costate, as earlier steps feel it")
 right.axis("equal")
 plt.show()
 
 # %% [markdown]
 # **In one paragraph.** A backward sweep gives the controller, one formula its sensitivity to wrong
-# beliefs, any reference point a bound that three lines prove. A search from the last step fills the
-# room above it; its word you can repeat, but not check at a glance (notebook 3).
+# beliefs, any reference point a bound: expand the last square below. A search from the last step
+# fills the room above it; that it missed nothing only a new search can check (notebook 3).
 #
 # ## The sheet
 #
@@ -242,7 +242,8 @@ plt.show()
 # | the state | runs an observer | `filter` | $(I - \Gamma C^+) A m_{t-1} + \Gamma e_t$ | no, no |
 #
 # Under `causal` and `measurement` steps decouple: take the cheapest model of each. So they do if
-# the forecast is made anew at every step (MPC, notebook 1). Otherwise search.
+# the forecast is made anew at every step (MPC, notebook 1). Otherwise search (`ms.solve`
+# takes any $\Psi$).
 #
 # **One formula.** $e^\top \Psi e = \sum_t |\mathrm{row}_t\, e|^2$ with $\mathrm{row}_t\, e =
 # G_t^{-1} B^\top (P_{t+1}(A m_t + C e_t) + q_{t+1}(e))$. The believed state errs by $m_t$ ($C^+$:
