@@ -37,7 +37,7 @@ BLUE, RED = landing.LOOK["Best Single"]["color"], landing.LOOK["Optimal"]["color
 
 # %%
 one, mean = np.eye(1), np.tile([[1.0], [-0.5]], (2, 1, 1))  # H steps, W models, p numbers
-cart = ms.ControlTask(one, one, one, one, one, horizon=2)
+cart = ms.ControlTask(one, one, one, one, one, horizon=2)  # A, B, C, Q, R; next, 0 * mean: no noise
 toy = ms.SelectionProblem(ms.psi(cart, "preview"), mean, 0 * mean, model_cost=[0, 0.2])
 relaxed, best = ms.relax_interior_point(toy, gap=1e-10), ms.enumerate_schedules(toy)
 print(f"weights of b1 {relaxed.weights[:, 1].round(3)}, cost {relaxed.value:.3f}")
@@ -45,8 +45,8 @@ print(f"best schedule {best.choices}, cost {best.cost:.3f}")
 assert relaxed.value < best.cost
 
 # %% [markdown]
-# Each point of the square is a pair of weights; its corners are the four schedules. So its least
-# cost is a **bound**: no schedule costs less than 0.258.
+# At $\frac23$ both errors vanish; b1's price pulls a little lower. A point of the square is a pair of
+# weights, a corner a schedule. So the least cost is a **bound**: no schedule costs less than 0.258.
 
 # %% alt="Contours of the relaxed cost over the square of weights: a valley whose lowest point, 0.258, lies inside at (0.64, 0.61). The four corners are the schedules and cost 2.100, 0.950, 0.725 and 0.925, all more." tags=["hide-input"]
 side, corners, blend = np.linspace(0, 1, 101), [*product((0, 1), repeat=2)], ms.BlendProblem(toy)
@@ -66,38 +66,38 @@ plt.show()
 # %% [markdown]
 # ## Duality in two lines
 #
-# How does one know that nothing is below 0.258? By a tangent. Start at equal weights: $d =
-# (\frac14, \frac14)$, cost 0.331. Replace $d^\top \Psi d$ by its tangent there: one unit of
-# error now costs $2 \Psi d = (0.6, 0.45)$, at any weights. So b0 costs 0.6 at step 0 and 0.45 at
-# step 1; b1 costs $-0.5 \cdot 0.6 + 0.2 = -0.1$ and $-0.025$. The cheapest is b1, twice. With the
-# tangent's constant, $-d^\top \Psi d = -0.131$, that is $-0.256$. A tangent lies below a convex
-# function, so the minimum is between $-0.256$ and 0.331.
+# A tangent proves that nothing is below. Start at equal weights: $d = (\frac14,\frac14)$, cost 0.331.
+# Replace $d^\top \Psi d$ by its tangent there: one unit of error now costs $2 \Psi d = (0.6, 0.45)$,
+# at any weights. So b0 costs 0.6, then 0.45; b1 costs $-0.5 \cdot 0.6 + 0.2 = -0.1$, then $-0.025$.
+# The cheapest is b1, twice. With the tangent's constant, $-d^\top \Psi d = -0.131$, that is
+# $-0.256$. A tangent lies below a convex function, so the minimum is between $-0.256$ and 0.331.
 #
 # **In general**, let model $w$ at step $t$ have mean error $\mu_{tw}$ and cost $\ell_{tw}$ (price
 # and noise). Weights $b$ blend the errors to $d$ and cost $f(b) = \alpha d^\top \Psi d + \sum_{tw}
-# \ell_{tw} b_{tw}$. Touch at *any* errors $x$:
+# \ell_{tw} b_{tw}$ ($\alpha = 1$ so far). Under the tangent at *any* errors $x$, a model costs
+# $G_{tw}$, and a schedule at least $LB(x)$:
 #
 # $$G_{tw} = 2 \alpha \mu_{tw}^\top (\Psi x)_t + \ell_{tw}, \qquad
 # LB(x) = \sum_t \min_w G_{tw} - \alpha x^\top \Psi x .$$
 #
 # 1. $LB(x) \le f(b)$: the tangent is below $f$, and $LB$ is its least value.
-# 2. At the best weights, touched at their own $d$, both are equal: a move that lowered the tangent
+# 2. At the best weights, with $x$ their own $d$, both are equal: a move that lowered the tangent
 #    would lower $f$ at first, too.
 #
-# So **max LB = min f**. At any weights $f(b) - LB(d)$ is the **duality gap**: $f(b)$ is no further
-# from the minimum, so a method may stop at any round. *Projected gradient* steps down, then to the
+# So **max LB = min f**. At any weights $f(b)$ is above the minimum by at most the **duality gap**,
+# $f(b) - LB(d)$, so a method may stop at any round. *Projected gradient* steps down, then to the
 # nearest weights allowed.
 
 
 # %%
 def evaluate(problem, b):
-    """Return f, LB and G less its least in each row, at weights b (H, W); p = 1."""
+    """Return f, LB and r, G less its least in each row, at weights b (H, W); p = 1."""
     bound, r = ms.reference_bound(problem, (b * problem.mean[:, :, 0]).sum(axis=1))
     return bound + (r * b).sum(), bound, r  # the sum is the gap
 
 
 def gradient(problem, gap, most=30_000):
-    """Descend from equal weights until the gap is small."""
+    """Descend from equal weights until the gap is small (quadratic: alpha Psi; linear: l)."""
     size = np.linalg.norm(problem.mean[:, :, 0], axis=1)
     L = 2 * np.linalg.eigvalsh(size[:, None] * problem.quadratic * size)[-1]  # largest curvature
     b = np.full(problem.linear.shape, 1 / problem.linear.shape[1])
@@ -116,11 +116,11 @@ for most in (0, 1, 2, 10):
 # %% [markdown]
 # ## Conditioning
 #
-# A gradient step must not overshoot where $f$ is steepest. Where $f$ is flatter, the same step
-# covers only a small share of the way. So rounds may grow with the **condition number** $\kappa$ of
-# $\Psi$, its largest eigenvalue over its smallest. Nesterov's momentum makes that about
-# $\sqrt\kappa$. Newton's method scales each direction by its own curvature, for one linear system a
-# round. Here are 20 steps with the same two models, and an optimum inside:
+# A gradient step must not overshoot where $f$ is steepest; where it is flat, that step is too short.
+# So rounds may grow with the **condition number** $\kappa$ of $\Psi$, its largest eigenvalue over its
+# smallest. Nesterov's momentum makes that about $\sqrt\kappa$. Newton's method scales each direction
+# by its own curvature, for one linear system a round; a barrier keeps weights positive. Here are
+# 20 steps, two models that err by $\mp1$, and an optimum inside:
 
 
 # %% alt="Rounds to a gap of one millionth against the condition number from 1 to 1000, both logarithmic. Plain gradient rises from 1 to some 4,400, with momentum from 1 to about 200, Newton stays between 4 and 5." tags=["hide-input"]
@@ -244,11 +244,11 @@ np.testing.assert_allclose(blend.cost, relaxed.value, rtol=1e-5)
 # total at most $K$? One is quickly checked, so this is in NP.
 # >
 # > **Direction.** Write a known hard problem *as* selection, in polynomial time. Then whoever
-# selects fast solves it fast. The other direction proves nothing.
+# selects fast solves that fast. The other direction proves nothing.
 # >
-# > **PARTITION.** Do positive integers $a_t$ split into two groups of equal sum? A robot of one
-# state that acts only at first can have $\Psi = \frac12 \mathbf{1}\mathbf{1}^\top$. Let two free
-# models err by $a_t$ and $-a_t$. A schedule costs $\frac12 (\sum \pm a_t)^2$. So one of total at
+# > **PARTITION.** Do positive integers $a_t$ split into two groups of equal sum? A robot that
+# foresees $s_t$, acts once and pays $u^2+(u+\sum s_t)^2$ has $\Psi = \frac12\mathbf{1}\mathbf{1}^\top$.
+# Let two free models err by $\pm a_t$. A schedule costs $\frac12(\sum\pm a_t)^2$. So one of total at
 # most $K = 0$ exists **if and only if** the integers split.
 # >
 # > **MAXIMUM CUT.** Part the nodes of a graph so that most edges join the two sides. With a state
@@ -271,11 +271,11 @@ print(f"graph of {graph.sum()} edges: our cut {ours}, largest {max(cuts)}")
 assert ours == max(cuts)
 
 # %% [markdown]
-# Typical instances may be easy: the published one's relaxation is tight to some $10^{-6}$.
+# Typical instances may be easy: the published one's relaxation is tight to some $10^{-6}$ or better.
 #
 # **In one paragraph.** Weights make selection convex. Any weights give a value, their tangent a
 # bound; at the best weights the two meet. On a stiff $\Psi$ gradients are slow, Newton's method is
-# not. Problem 4 is the relaxation, and polynomial; selection is NP-hard.
+# not. Problem 4 relaxes two models, and is polynomial; selection is NP-hard.
 #
 # ## Recall
 #
