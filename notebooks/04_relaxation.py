@@ -85,8 +85,8 @@ plt.show()
 #    would lower $f$ at first, too.
 #
 # So **max LB = min f**. At any weights $f(b)$ is above the minimum by at most the **duality gap**,
-# $f(b) - LB(d)$, so a method may stop at any round. *Projected gradient* steps down, then to the
-# nearest weights allowed.
+# $f(b) - LB(d)$, so a method may stop at any round. *Projected gradient* steps down along $G$, by
+# one over the largest curvature of $f$, then to the nearest weights allowed:
 
 
 # %%
@@ -96,34 +96,36 @@ def evaluate(problem, b):
     return bound + (r * b).sum(), bound, r  # the sum is the gap
 
 
-def gradient(problem, gap, most=30_000):
-    """Descend from equal weights until the gap is small (quadratic: alpha Psi; linear: l)."""
-    size = np.linalg.norm(problem.mean[:, :, 0], axis=1)
-    L = 2 * np.linalg.eigvalsh(size[:, None] * problem.quadratic * size)[-1]  # largest curvature
-    b = np.full(problem.linear.shape, 1 / problem.linear.shape[1])
-    for k in range(most + 1):
-        value, bound, r = evaluate(problem, b)
-        if value - bound <= gap * value or k == most:
-            return b, value, bound, k
-        b = ms.project_to_simplex(b - r / L)
-
-
-for most in (0, 1, 2, 10):
-    b, value, bound, _ = gradient(toy, 0, most)
-    print(f"round {most:2}: {bound:.4f} <= {value:.4f}, weights of b1 {b[:, 1].round(3)}")
+b, curvature = np.full((2, 2), 0.5), 2 * (1 + 0.5**2) * np.linalg.eigvalsh(toy.psi).max()
+for k in range(5):
+    value, bound, r = evaluate(toy, b)
+    print(f"round {k}: {bound:.4f} <= {value:.4f}, weights of b1 {b[:, 1].round(3)}")
     assert bound <= relaxed.value + 1e-12 <= value + 2e-12
+    b = ms.project_to_simplex(b - r / curvature)
 
 # %% [markdown]
 # ## Conditioning
 #
-# A gradient step must not overshoot where $f$ is steepest; where it is flat, that step is too short.
-# So rounds may grow with the **condition number** $\kappa$ of $\Psi$, its largest eigenvalue over its
-# smallest. Nesterov's momentum makes that about $\sqrt\kappa$. Newton's method scales each direction
-# by its own curvature, for one linear system a round; a barrier keeps weights positive. Here are
-# 20 steps, two models that err by $\mp1$, and an optimum inside:
+# A step that suits the steepest direction is too short for flat ones. So rounds may grow with the
+# **condition number** $\kappa$ of $\Psi$, its largest eigenvalue over its smallest; with Nesterov's
+# momentum about as $\sqrt\kappa$. Newton's method scales each direction by its own curvature, for one
+# linear system a round; a barrier keeps weights positive. On 20 steps, two models that err by
+# $\mp1$, and an optimum inside:
 
 
 # %% alt="Rounds to a gap of one millionth against the condition number from 1 to 1000, both logarithmic. Plain gradient rises from 1 to some 4,400, with momentum from 1 to about 200, Newton stays between 4 and 5." tags=["hide-input"]
+def gradient(problem, gap, most=30_000):
+    """Return how many rounds from equal weights on it takes until the gap is small."""
+    size = np.linalg.norm(problem.mean[:, :, 0], axis=1)
+    curvature = 2 * np.linalg.eigvalsh(size[:, None] * problem.quadratic * size).max()
+    b = np.full(problem.linear.shape, 1 / problem.linear.shape[1])
+    for k in range(most):
+        value, bound, r = evaluate(problem, b)
+        if value - bound <= gap * value:
+            return k
+        b = ms.project_to_simplex(b - r / curvature)
+
+
 def stiff(kappa, H=20):
     """Return a problem of two models whose Psi has this condition number, its optimum inside."""
     rng = np.random.default_rng(0)
@@ -135,7 +137,7 @@ def stiff(kappa, H=20):
 
 
 kappas = [1, 10, 100, 1000]
-rounds = {"plain gradient": [gradient(stiff(k), 1e-6)[3] for k in kappas]}
+rounds = {"plain gradient": [gradient(stiff(k), 1e-6) for k in kappas]}
 rounds["with momentum"] = [ms.relax(stiff(k), gap=1e-6).iterations for k in kappas]
 rounds["Newton"] = [ms.relax_interior_point(stiff(k), gap=1e-6).iterations for k in kappas]
 figure, axes = plt.subplots(figsize=(9, 4.8))
@@ -165,10 +167,10 @@ print("steps with divided weights:", (b.max(axis=1) < 0.999).sum(), "of 40")
 # %% [markdown]
 # **Round and swap**: take the largest weight of each step, then change single steps while that
 # helps. **Draw**: take model $w$ at step $t$ with chance $b_{tw}$, independently. Errors are $d$ on
-# average, but each varies about $d_t$. Its variance $v_t$ costs $\alpha \Psi_{tt} v_t$ besides.
+# average; but they vary about it, and their variance $v_t$ costs $\alpha \Psi_{tt} v_t$ besides.
 
 
-# %%
+# %% tags=["hide-input"]
 def expected_draw(problem, b):
     """Return the expected total of independent draws with chances b; p = 1."""
     mu = problem.mean[:, :, 0]
@@ -176,7 +178,6 @@ def expected_draw(problem, b):
     return evaluate(problem, b)[0] + problem.quadratic.diagonal() @ v
 
 
-# %% tags=["hide-input"]
 corners = [*product((0, 1), repeat=2)]
 chance = [relaxed.weights[[0, 1], c].prod() for c in corners]
 np.testing.assert_allclose(expected_draw(toy, relaxed.weights), chance @ toy.total_cost(corners))
@@ -190,17 +191,14 @@ for name, cost in results.items():
     print(f"{name:20} {100 * (cost / root.bound - 1):.1f}% above the bound")
 
 # %% [markdown]
-# Chance does not know which errors are to cancel. No lottery is cheaper *on average* than the
-# best schedule: its expected cost is an average over schedules.
+# Chance does not know which errors are to cancel. No lottery beats the best schedule *on average*:
+# its expected cost is an average over schedules.
 #
 # ## Switching costs: whole schedules as columns
 #
-# Weights of single models do not say how often one changes. If a change has a price, **column
-# generation** gives weights to whole schedules, the columns:
-#
-# 1. Find the best blend of the columns at hand: our relaxation, with columns as models.
-# 2. Find the cheapest path through that blend's $G$, switches included. It gives the bound, and the
-#    next column if bound and blend have not met.
+# Weights of single models do not say how often one changes. If a change has a price, give weights
+# to whole schedules, the **columns**. Blend those at hand at least cost. The cheapest path through
+# this blend's $G$, switches included, is a bound, and the next column unless both have met.
 #
 # The toy, at 0.3 a switch:
 
@@ -225,10 +223,9 @@ np.testing.assert_allclose(bound, ms.relax_by_columns(switching).bound, rtol=1e-
 # ## Problem 4: where fractions are legal
 #
 # The paper's section V blends the worst and the best model, with $c_t \in [0, 1]$ of the best
-# (`eq:perModelExpCont`): our relaxation with two models. If column $t$ of $D$ is the difference of
-# their mean errors, the quadratic part is $\Psi' = \alpha D^\top \Psi D$. **Theorem 4**
-# (`thm:psi`): $x^\top \Psi' x = \alpha (Dx)^\top \Psi (Dx) \ge 0$. A convex quadratic over a box
-# takes polynomial time. (The paper's detour: [paper.md](paper.md).)
+# (`eq:perModelExpCont`): our relaxation with two models. With their differences of mean errors in
+# the columns of $D$, $x^\top (\alpha D^\top \Psi D)\, x = \alpha (Dx)^\top \Psi (Dx) \ge 0$ (**theorem
+# 4**, `thm:psi`): a convex quadratic over a box, which takes polynomial time.
 
 # %%
 blend = ms.solve_blend(ms.BlendProblem(toy))
