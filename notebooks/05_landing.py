@@ -62,26 +62,26 @@ plt.show()
 # it pays 3.6. The optimum buys the first step.
 #
 # Nothing grows in this cart: its first error costs more because the push that it imagines acts on
-# two states. And no entry of $\Psi$ is negative, so errors of one sign never cancel.
+# two states. No entry of $\Psi$ is negative, so errors of one sign never cancel.
 #
 # ## The aircraft
 #
 # State: altitude, its rate, pitch, its rate; control: the elevator. By the authors' code it flies
-# 150 steps of 0.01 s from $x_0 = (1000, 2, 2, 0.2)$, with $R = 1$ and
-# $Q = \mathrm{diag}(10^8, 1, 10^8, 1)$. The perception input, uniform from 0 to 0.002, enters the
-# pitch, and the controller plans once (`open_loop`). Model $w$ costs $w\Upsilon$,
-# $\Upsilon = 10^{14}$; $\alpha = 0.8$, $\beta = 0.2$. One number checks most of it: $J^\star$, the
-# control cost without input and error, by the authors' log.
+# 150 steps of 0.01 s from $x_0 = (1000, 2, 2, 0.2)$, with $R = 1$ and $Q = Q_f =
+# \mathrm{diag}(10^8, 1, 10^8, 1)$. The perception input, uniform from 0 to 0.002, enters the
+# pitch, and the controller plans once (`open_loop`). Model $w$ costs $w\Upsilon$, $\Upsilon =
+# 10^{14}$; $\alpha = 0.8$, $\beta = 0.2$. One number checks most of it: $J^\star$, the control
+# cost without input and error, by the authors' log.
 #
 # At every step the mean error of b7 is drawn from 0 to 0.05; that of b6 adds a draw from 0 to 0.1,
 # and so on to b0, which adds one from 0 to 16. Variances are summed likewise, but no draw exceeds
 # 0.3. So bias differs a thousandfold, noise hardly, and **every mean error is positive**.
 #
-# A schedule chooses the means $\mu_c$ and the variances $v_{t,w_t}$ of its models $w_t$. Beyond
-# $\alpha J^\star$ it costs, in expectation,
+# A schedule $c$ of models $c_t$ has the means $\mu_c$ and the variances $v_{t,c_t}$. Beyond a
+# flight without errors or prices it costs, in expectation,
 #
-# $$\alpha\Big(\mu_c^\top \Psi \mu_c + \sum_t \Psi_{tt} v_{t,w_t}\Big)
-# + \beta\Upsilon \sum_t w_t .$$
+# $$\alpha\Big(\mu_c^\top \Psi \mu_c + \sum_t \Psi_{tt} v_{t,c_t}\Big)
+# + \beta\Upsilon \sum_t c_t .$$
 
 # %%
 aircraft = landing.preset("published")
@@ -131,7 +131,7 @@ below.legend(loc="lower left")
 plt.show()
 
 # %% [markdown]
-# Growth explains a factor of 2.7: amplitudes gain $1.0065^{75} = 1.63$, costs its square. The rest
+# Growth explains 2.7 at most: amplitudes gain $1.0065^{75} = 1.63$, costs its square. The rest
 # is duration, as with the cart: a wrong pitch moves the altitude further with every step.
 #
 # ## Predicted, and flown
@@ -164,8 +164,8 @@ assert 50 < paid / seen < 52 and noise / paid < 0.001  # of Optimal
 # **Best Single** (b4) pays 24% more: that is what a schedule is worth here.
 #
 # **Greedy** sees a small part of the bill: each of 150 errors meets 149 of its own sign.
-# **Noise** is less than 0.1% of what Optimal's bias costs. So this experiment cannot show "how the
-# variance of the perception models matters".
+# **Noise** is less than 0.1% of what Optimal's bias costs. So at these prices the experiment cannot
+# show "how the variance of the perception models matters".
 #
 # Perception against control cost, with the proved optima for 40 ratios $\alpha : \beta$:
 
@@ -174,7 +174,7 @@ figure = landing.plot_pareto(result)
 plt.show()
 
 # %% [markdown]
-# The landings, as a film:
+# As a film:
 
 # %% tags=["hide-input"]
 import json
@@ -202,8 +202,8 @@ figure.suptitle("No policy lands (dotted: Oracle; note the scales)")
 plt.show()
 
 # %% [markdown]
-# None lands: the model knows no ground, only a penalty $10^8 h^2$. (Oracle makes no error and pays
-# nothing; Clairvoyant knows each flight's errors beforehand.)
+# None lands: the model knows no ground, only a penalty $10^8 h^2$ on altitude $h$. (Oracle makes
+# no error and pays nothing; Clairvoyant knows each flight's errors beforehand.)
 #
 # ## Which differences are chance?
 #
@@ -226,15 +226,15 @@ assert round(old / new - 1, 3) == 5.674 and round(1 - new / old, 3) == 0.850
 # %% [markdown]
 # The published control costs lie among ours. Not chance: the order of the four, and b7 never used.
 #
-# **A percentage of what?** "567.18% lower control cost" than Random, says the paper. No cost falls
-# by 567%. That is a share of Optimal's own cost; the reduction is 85.0%.
-# ([paper.md](paper.md) has all errata.)
+# **A percentage of what?** "567.18% lower control cost" than Random, says the paper. No cost
+# falls by 567%. That (567.4% by the log) is a share of Optimal's own cost; the reduction is
+# 85.0%. ([paper.md](paper.md) has all errata.)
 #
 # ## What it cannot show
 #
-# The paper's text lets the controller see the true state and plan anew. So try the other patterns
-# of notebook 1. And the true input, at most 0.002, is smaller than the average error of b7. So try
-# a ninth model, free, that always says 0.001.
+# The paper's text lets the controller see the true state and plan anew. So try the other
+# information patterns of notebook 1. And the true input, at most 0.002, is smaller than the
+# average error of b7. So try a ninth model, free, that always says 0.001.
 
 
 # %%
@@ -253,9 +253,8 @@ for information in ("preview", "causal", "measurement"):
 assert (ms.solve(with_constant()).choices == 8).all()
 
 # %% [markdown]
-# At these prices perception is not worth paying for under feedback, and the constant is chosen at
-# every step. So the experiment does not show that this landing needs perception, or that choosing
-# pays under feedback.
+# Under feedback perception is not worth these prices, and the constant is chosen at every step. So
+# the experiment does not show that this landing needs perception.
 #
 # ## The textbook aircraft
 #
@@ -318,9 +317,9 @@ for information in ("open_loop", "causal", "measurement"):
 #
 # ### Exercise 1: how many flights?
 #
-# Write `flights_needed(a, b)` for the total costs of two policies, flight by flight. Return the
-# least whole $n$ at which $1.96\,\sigma / \sqrt n$ is at most the mean difference, twice: flown
-# through the same errors, and each through its own. (Variances of independent means add up.)
+# Write `flights_needed(a, b)` for the total costs of two policies, flight by flight. Return two
+# numbers, if flown through the same errors, and if each through its own: the least whole $n$ at
+# which $1.96\,\sigma / \sqrt n$ does not exceed the mean difference. (Independent variances add.)
 
 
 # %% tags=["exercise"]
@@ -347,9 +346,10 @@ print("Exercise 1: right")
 # ### Exercise 2: a Greedy that adds up
 #
 # Is greed the fault, or not seeing the meetings? Write `adding_up(problem, order)`: decide the
-# steps in this order, each by what it *adds* to the cost of those before: its own square,
-# $2\mu_{tw} \sum_k M_{tk} \mu_k$ over the $k$ decided before, its linear cost. (`problem.quadratic`
-# is $M = \alpha\Psi$, `problem.linear` is (H, W).) Is it better from the front or from the back?
+# steps in this order, each by what it *adds*, over the $k$ decided before:
+# $M_{tt} \mu_{tw}^2 + 2\mu_{tw} \sum_k M_{tk} \mu_k + \ell_{tw}$. ($M = \alpha\Psi$ is
+# `problem.quadratic`, $\mu$ `problem.mean`, (H, W, 1), $\ell$ `problem.linear`, (H, W).) Is front or
+# back the better start?
 
 
 # %% tags=["exercise"]
@@ -371,15 +371,16 @@ for name, order in {"front": range(H), "back": range(H)[::-1]}.items():
         assert np.isclose(added[c[t]], added.min(), rtol=1e-9), (
             f"Exercise 2: from the {name}, step {t}: b{added.argmin()} adds less than b{c[t]}"
         )
-    print(f"from the {name}: {problem.total_cost(c) / optimal.cost - 1:.1%} above the optimum")
+    more = problem.total_cost(c) / optimal.cost - 1
+    print(f"from the {name}: {more:.1%} above the optimum, both beyond a flight without errors")
 print("Exercise 2: right")
 
 # %% [markdown]
 # ### Exercise 3 (open): when does a look pay?
 #
 # Change the world: the constant guess errs by noise of root mean square $r$, or by an unknown
-# offset $r$. Which makes looking pay sooner? Predict, then find the least $r$ of each at which the
-# optimum of `with_constant` uses another model, to 2%, and explain.
+# offset $r > 0$. Which makes looking pay sooner? Predict, then find the least $r$ of each at which
+# the optimum of `with_constant` uses another model, to 2%, and explain.
 
 
 # %% tags=["exercise"]
@@ -396,7 +397,8 @@ for name, at, world in zip(("noise", "offset"), r, ((0, 1), (1, 0)), strict=True
     for factor in (0.98, 1.02):
         test = with_constant(*(factor * at * np.array(world)))
         looks = bool((ms.solve(test).choices < 8).any())
-        assert looks == (factor > 1), f"Exercise 3: {name}: not the least r, to 2%"
+        wrong = "too large" if looks else "too small"
+        assert looks == (factor > 1), f"Exercise 3: {name}: r is {wrong}"
 assert len(why.split()) >= 8, "Exercise 3: explain the two numbers in a sentence"
 print(f"the noise may be {r[0] / r[1]:.1f} times the offset")
 print("Exercise 3: right")
