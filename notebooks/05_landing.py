@@ -140,7 +140,7 @@ plt.show()
 # Greedy, and one random schedule. All fly through the **same** 100 draws of input and errors, so we
 # subtract flight by flight; ± gives 95% intervals of means.
 
-# %%
+# %% tags=["hide-input"]
 total = {policy: -flown.reward for policy, flown in result.flights.items()}
 base = total["Optimal"].mean()
 print(f"Optimal: {base:.4g}. The others pay more by so many percent of it:")
@@ -150,8 +150,6 @@ for policy in ("Best Single", "All Large", "Random", "Greedy", "All Small"):
     mean, half = lead.mean(), landing.half_width(lead)
     print(f"{policy:12} predicted {predicted:7.2f}, flown {mean:7.2f} ± {half:.2f}")
     assert abs(mean - predicted) < 2 * half
-
-# %% tags=["hide-input"]
 for policy in ("Greedy", "Optimal"):
     c = result.flights[policy].choices
     mu = problem.chosen_mean(c)
@@ -245,6 +243,7 @@ def with_constant(offset=0.0, noise=0.002 / 12**0.5):
     return replace(problem, **nine, model_cost=np.append(suite.cost, 0))
 
 
+# %% tags=["hide-input"]
 for information in ("preview", "causal", "measurement"):
     other = replace(problem, psi=ms.psi(task, information))
     harm = other.control_term(np.zeros(H, dtype=int)) / perfect
