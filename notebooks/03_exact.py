@@ -80,7 +80,7 @@ plt.show()
 
 # %%
 def certificate(Psi, mean, linear, d):
-    """Return LB(d) and the reduced costs (H, W), for means (H, W)."""
+    """Return LB(d) and the reduced costs, for means (H, W): H steps, W models."""
     G = 2 * mean * (Psi @ d)[:, None] + linear
     return G.min(axis=1).sum() - d @ Psi @ d, G - G.min(axis=1, keepdims=True)
 
@@ -158,9 +158,9 @@ assert possible.sum() == 150 and possible[np.arange(150), claim.choices].all()
 #
 # **Out of room**: its extra cost exceeds $\Delta$.
 #
-# **Dominated.** On two steps, step 0 adds a reduced cost and $(v + q)^2/S_0$ to a label; $v$,
-# above -0.817, comes from the model of step 0. So each label is a parabola over $v$. A bar shows
-# where that is within the room. The dashed label runs a fourth model.
+# **Dominated.** On two steps, step 0 adds a reduced cost and $(v + q)^2/S_0$ to a label; $v =
+# P_1\varepsilon_0$ comes from the model of step 0. So each label is a parabola over $v$. A bar shows
+# where it is within the room. The dashed label runs a fourth model.
 
 # %% alt="Three equal parabolas over v and a line at the room, 0.467. Bars show where each is below it. That of b0 reaches left beyond that of b1: it lives. That of the dashed one lies inside that of b1: it dies." tags=["hide-input"]
 low, _ = ms.reference_bound(toy, [2 / 45, 4 / 45])
@@ -196,8 +196,9 @@ assert spans["b0"][0] < spans["b1"][0]
 #
 # $$\rho + \sqrt{\Delta - x_j} \le \sqrt{\Delta - x_i} .$$
 #
-# With more steps it stays: `felt` adds up what earlier ones feel of a costate, $1/S_0$ above. With
-# more states bars become balls (notebook 0). The whole search, for a cart:
+# With more steps `felt` adds up what earlier ones feel of a costate, $1/S_0$ above. What they pay
+# besides shortens both bars, which stay nested. With more states bars become balls (notebook 0).
+# The whole search, for a cart:
 
 
 # %%
@@ -233,8 +234,8 @@ print(f"bound + least extra = {bound + extra:.3f}: {models}; labels kept, last s
 np.testing.assert_allclose(bound + extra, costs.min())
 
 # %% [markdown]
-# Seven labels at most are kept at a step. `dynamic_program` is this search for every pattern and
-# cost. It may be slow: the problem is NP-hard (`remark:np_status`, notebook 4).
+# `dynamic_program` is this search for every pattern and cost. It may be slow: the problem is
+# NP-hard (`remark:np_status`, notebook 4).
 #
 # ## Whose word is a bound?
 #
@@ -357,9 +358,10 @@ print("Exercise 1: right")
 # %% [markdown]
 # ### Exercise 2: the cheapest path
 #
-# Write `path_bound(problem, d)`: $LB(d)$ with switching costs, in $O(HW^2)$, without a bound of
-# ours. `problem.linear` is $\ell$; `problem.beta * problem.switch_cost` are the arcs, from row to
-# column. From step to step, find the cheapest way to each model.
+# Write `path_bound(problem, d)`: $LB(d)$ with switching costs, in $O(HW^2)$, without `ms`.
+# `problem.mean[:, :, 0]` is $\mu$, `problem.linear` is $\ell$;
+# `problem.beta * problem.switch_cost` are the arcs, row to column. Step by step, find the cheapest
+# way to each model.
 
 
 # %% tags=["exercise"]
@@ -392,7 +394,7 @@ print("Exercise 2: right")
 
 # %% tags=["exercise"]
 def one_sign():
-    """Return a SelectionProblem, and a sentence that explains its gap."""
+    """Return ms.SelectionProblem(psi, mean, variance, model_cost) and why it has a gap."""
     ...
 
 

@@ -60,6 +60,6 @@ def path_bound(problem, d):
 
 # %%
 def one_sign():
-    """Return a SelectionProblem, and a sentence that explains its gap."""
+    """Return ms.SelectionProblem(psi, mean, variance, model_cost) and why it has a gap."""
     problem = ms.SelectionProblem([[1.0]], [[[1.0], [0.01]]], [[[0.0], [0.0]]], [0.0, 1.0])
     return problem, "the square of a blended error lies below the line between its two ends"
