@@ -76,9 +76,9 @@ plt.show()
 # **Is it exact?** `thm:equivalence`: the simulated $\alpha J + \beta \sum_t \kappa_{c_t}$, averaged
 # over the noise, is our total (`opt:model_selection`) plus $\alpha J$ of the controller that is fed
 # the truth, the same for all schedules. So both have the same minima. **With a forecast**
-# (`open_loop`, `preview`) this holds for every $s$; **without** (`causal`), on average over $s$ of
-# mean 0. The folded cell tries it on a robot on a line, $x_{t+1} = x_t + u_t + s_t$, with all
-# schedules of three steps, all signs of the noise and of the pushes $s_t$:
+# of the pushes $s$ (`open_loop` plans once, `preview` also looks) this holds for every $s$;
+# **without** (`causal`), on average if $s$ has mean 0. The folded cell tries it on a robot on a line,
+# $x_{t+1} = x_t + u_t + s_t$, with all schedules of three steps, all signs of noise and pushes:
 
 
 # %%
@@ -139,11 +139,11 @@ np.testing.assert_allclose(row[41:50] / row[40:49], (3 - 5**0.5) / 2, rtol=1e-6)
 np.testing.assert_allclose(row.sum() / row[40], 5**0.5, rtol=1e-6)
 
 # %% [markdown]
-# - **Plan once, only the end charged**: $\Psi = \frac{H}{H+1} \mathbf 1 \mathbf 1^\top$, the factor
-#   is $H$: equal errors add up to $H$, a random walk to $\sqrt H$.
-# - **Preview, position charged**: the robot braces a few steps ahead. $\Psi_{tk}$ decays like
-#   $a^{|t-k|}$, $a = (3 - \sqrt 5)/2$, and the factor tends to $(1 + a)/(1 - a) = \sqrt 5$. (With
-#   only the end charged it braces from the start: the factor grows.)
+# - **Plan once, only the end charged**: every thrust is off by $\mathbf 1^\top e / (H+1)$, so
+#   $\Psi = \frac{H}{H+1} \mathbf 1 \mathbf 1^\top$, the factor is $H$.
+# - **Preview, position charged**: it braces a few steps ahead. $\Psi_{tk}$ decays like
+#   $a^{|t-k|}$ with the closed loop $a = (3 - \sqrt 5)/2$, the factor tends to
+#   $(1 + a)/(1 - a) = \sqrt 5$. (With only the end charged it braces from the start: no bound.)
 # - **Causal**: $\Psi$ is diagonal, errors never meet. The mean square says it all.
 #
 # So measure bias and variance separately (notebook 7).
@@ -154,8 +154,8 @@ np.testing.assert_allclose(row.sum() / row[40], 5**0.5, rtol=1e-6)
 # do: switching models at both $t$ and $k$ costs $2\alpha\, \delta_t^\top \Psi_{tk} \delta_k$ beyond the
 # two alone, $\delta$ the difference of the means. If all means are 0, or $\Psi$ is block
 # diagonal, the model that is cheapest at each step alone is the optimum. Else this *greedy* choice can
-# be wrong. Planned once (`open_loop`, the default): a bias of 0.7 beside noise of
-# variance 1; then two models that err to opposite sides, beside an exact one that costs 1 a step.
+# be wrong. Under `open_loop`, the default: a bias of 0.7 beside noise of variance 1; then two models
+# that err to opposite sides, beside an exact one that costs 1 a step.
 
 # %%
 H = 12
@@ -193,18 +193,18 @@ for information in ("open_loop", "preview", "causal"):
     np.testing.assert_allclose(cost[-1], alone.psi.sum())  # that of a constant bias
 
 # %% [markdown]
-# At $\rho = 1$ an error is a bias that was drawn once: what is left when a known mean has been
-# subtracted, of a size $\tau$ and a **sign that you do not know**. It is tempting to enter it as a
-# mean, $+\tau$ for one model, $-\tau$ for another. For a single model that is right: a square has
-# no sign. For two it is not. Take two steps, all entries of $\Psi$ equal to 1, both $\tau = 1$:
-# either model alone costs 4; in turn they cost 0 on paper. But independent signs agree half of
-# the time: truly it is 2, the average of 0 and 4.
+# At $\rho = 1$ an error is a bias that was drawn once: what remains beside a known mean, of
+# a size $\tau$ and a **sign that you do not know**. It is tempting to enter it as a mean, $+\tau$
+# for one model, $-\tau$ for another. Right for a single model: a square has no sign. For two it is
+# not. Take two steps, all entries of $\Psi$ equal to 1, both $\tau = 1$: either model alone costs 4;
+# in turn they cost 0 on paper. But independent signs agree half of the time: truly it is 2, the
+# average of 0 and 4.
 #
 # Still less than 4. With $\mathbf 1_w$ marking the steps that run model $w$, the cost is
 # $\sum_w \tau_w^2\, \mathbf 1_w^\top \Psi \mathbf 1_w$: where errors meet, it can pay to mix models,
 # a **portfolio**, even if one of them is best alone. Where they do not (`causal`), or where one model
-# is far steadier, at equal prices and noise the steadiest runs alone. `correlated_problem` gives each
-# model an error component of its own, and `solve` proves the optimum:
+# is far steadier and $H$ short, at equal prices and noise the steadiest runs alone.
+# `correlated_problem` gives each model an error component of its own, and `solve` proves the optimum:
 
 # %%
 tau, quiet = np.array([0.7, 1.0, 1.2]), np.full((H, 3, 1), 0.05)  # quiet is drawn anew each step
@@ -241,10 +241,10 @@ plt.show()
 
 # %% [markdown]
 # **In one paragraph.** A controller feels the mean of the errors through all of $\Psi$, and their
-# covariance within a step through its diagonal blocks. A bias costs up to $H$ times what noise of
-# its mean square does. So mean squares mislead, and choosing step by step can be wrong where means
-# meet. Errors that persist meet like a bias of unknown sign: they may ask for a portfolio. Next: how
-# to find the best of $W^H$ schedules, with a proof.
+# covariance within a step through its diagonal blocks. With one component a bias costs up to $H$
+# times what noise of its mean square does. Mean squares mislead, and choosing step by step can be
+# wrong where means meet. Errors that persist meet like a bias of unknown sign: they may ask for a
+# portfolio. Next: the best of $W^H$ schedules, with a proof.
 #
 # ## Recall
 #
@@ -256,8 +256,8 @@ plt.show()
 # </details>
 # <details><summary>Two models have mean square 1 and 2. When is the second one certainly the worse choice, at equal prices?</summary>
 #
-# If errors have one component and steps do not meet: diagonal $\Psi$, or no means. Else look at
-# bias and noise (and at which component errs).
+# If errors have one component and steps do not meet: diagonal $\Psi$, or only noise drawn anew.
+# Else look at bias, noise (and which component errs).
 #
 # </details>
 # <details><summary>Each of two free models has an unknown persistent bias of size 1. Why alternate?</summary>
@@ -338,7 +338,7 @@ print("Exercise 2: right")
 
 # %% tags=["exercise"]
 def patient():
-    """Return a ControlTask on which a bias costs 15 times its square, and a sentence."""
+    """Return a ControlTask on which a bias costs 15 times as much as noise, and a sentence."""
     ...
 
 

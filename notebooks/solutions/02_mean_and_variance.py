@@ -39,12 +39,12 @@ def portfolio_counts(tau_squared, H):
 #
 # Thrust ten thousand times as dear as position: the robot spreads its answer to a push over many
 # steps beforehand, so that errors far apart meet in the same commands. With $a$ the closed loop,
-# near 1 here, and a long horizon the factor nears $(1 + a)/(1 - a)$. A heavy end does not matter
-# far from it; a stable $A$ makes errors die out and the factor fall.
+# near 1 here, and a long horizon the factor nears $(1 + a)/(1 - a)$. A very heavy end
+# lowers it: the last error alone is dear. A stable $A$ makes errors die out and the factor fall.
 
 
 # %%
 def patient():
-    """Return a ControlTask on which a bias costs 15 times its square, and a sentence."""
+    """Return a ControlTask on which a bias costs 15 times as much as noise, and a sentence."""
     task = ms.ControlTask([[1]], [[1]], [[1]], [[1]], [[10_000]], 300)
     return task, "dear thrust spreads the bracing over many steps, where errors far apart meet"
