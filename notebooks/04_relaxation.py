@@ -64,13 +64,13 @@ figure.colorbar(shades, label="cost", ticks=[0.25, 0.5, 1, 2], format="%.2f")
 plt.show()
 
 # %% [markdown]
-# ## Duality in two lines
+# ## Duality
 #
-# A tangent proves that nothing is below. Start at equal weights: $d = (\frac14,\frac14)$, cost 0.331.
-# Replace $d^\top \Psi d$ by its tangent there: one unit of error now costs $2 \Psi d = (0.6, 0.45)$,
-# at any weights. So b0 costs 0.6, then 0.45; b1 costs $-0.5 \cdot 0.6 + 0.2 = -0.1$, then $-0.025$.
-# The cheapest is b1, twice. With the tangent's constant, $-d^\top \Psi d = -0.131$, that is
-# $-0.256$. A tangent lies below a convex function, so the minimum is between $-0.256$ and 0.331.
+# Start at equal weights: $d = (\frac14,\frac14)$, cost 0.331. Replace $d^\top \Psi d$ by its tangent
+# there: one unit of error now costs $2 \Psi d = (0.6, 0.45)$, at any weights. So b0 costs 0.6, then
+# 0.45; b1 costs $-0.5 \cdot 0.6 + 0.2 = -0.1$, then $-0.025$. The cheapest is b1, twice. With the
+# tangent's constant, $-d^\top \Psi d = -0.131$, that is $-0.256$. A
+# tangent lies below a convex function: the minimum is between this and 0.331.
 #
 # **In general**, let model $w$ at step $t$ have mean error $\mu_{tw}$ and cost $\ell_{tw}$ (price
 # and noise). Weights $b$ blend the errors to $d$ and cost $f(b) = \alpha d^\top \Psi d + \sum_{tw}
@@ -93,24 +93,24 @@ plt.show()
 def evaluate(problem, b):
     """Return f, LB and r, G less its least in each row, at weights b (H, W); p = 1."""
     bound, r = ms.reference_bound(problem, (b * problem.mean[:, :, 0]).sum(axis=1))
-    return bound + (r * b).sum(), bound, r  # the sum is the gap
+    return bound + (r * b).sum(), bound, r  # f has sum(G * b), LB each row's least G
 
 
-b, curvature = np.full((2, 2), 0.5), 2 * (1 + 0.5**2) * np.linalg.eigvalsh(toy.psi).max()
+b, curvature = np.full((2, 2), 0.5), 2 * (mean[0] ** 2).sum() * np.linalg.eigvalsh(toy.psi).max()
 for k in range(5):
     value, bound, r = evaluate(toy, b)
     print(f"round {k}: {bound:.4f} <= {value:.4f}, weights of b1 {b[:, 1].round(3)}")
     assert bound <= relaxed.value + 1e-12 <= value + 2e-12
-    b = ms.project_to_simplex(b - r / curvature)
+    b = ms.project_to_simplex(b - r / curvature)  # G does the same: rows add up to 1
 
 # %% [markdown]
 # ## Conditioning
 #
 # A step that suits the steepest direction is too short for flat ones. So rounds may grow with the
-# **condition number** $\kappa$ of $\Psi$, its largest eigenvalue over its smallest; with Nesterov's
-# momentum about as $\sqrt\kappa$. Newton's method scales each direction by its own curvature, for one
-# linear system a round; a barrier keeps weights positive. On 20 steps, two models that err by
-# $\mp1$, and an optimum inside:
+# **condition number** $\kappa$ of $\Psi$, its largest eigenvalue over its smallest (large: *stiff*);
+# with Nesterov's momentum about as $\sqrt\kappa$. Newton's method scales each direction by its own
+# curvature, for one linear system a round; a barrier keeps weights positive. On 20 steps, two models
+# that err by $\mp1$, an optimum inside:
 
 
 # %% alt="Rounds to a gap of one millionth against the condition number from 1 to 1000, both logarithmic. Plain gradient rises from 1 to some 4,400, with momentum from 1 to about 200, Newton stays between 4 and 5." tags=["hide-input"]
@@ -162,12 +162,13 @@ Psi = ms.psi(ms.ControlTask(A, B, C, np.eye(2), [[0.1]], 40), "preview")
 mixed = ms.SelectionProblem(Psi, mean, (0.2 * size) ** 2 + 0 * mean, [0, 0.002, 0.004])
 root = ms.relax_interior_point(mixed, gap=0)
 b = root.weights
-print("steps with divided weights:", (b.max(axis=1) < 0.999).sum(), "of 40")
+print("steps with fractional weights:", (b.max(axis=1) < 0.999).sum(), "of 40")
 
 # %% [markdown]
 # **Round and swap**: take the largest weight of each step, then change single steps while that
 # helps. **Draw**: take model $w$ at step $t$ with chance $b_{tw}$, independently. Errors are $d$ on
-# average; but they vary about it, and their variance $v_t$ costs $\alpha \Psi_{tt} v_t$ besides.
+# average; but they vary about it, and their variance $v_t$ costs $\alpha \Psi_{tt} v_t$ besides
+# (`expected_draw`).
 
 
 # %% tags=["hide-input"]
@@ -198,7 +199,7 @@ for name, cost in results.items():
 #
 # Weights of single models do not say how often one changes. If a change has a price, give weights
 # to whole schedules, the **columns**. Blend those at hand at least cost. The cheapest path through
-# this blend's $G$, switches included, is a bound, and the next column unless both have met.
+# this blend's $G$, switches included, gives a bound and, until that meets the cost, the next column.
 #
 # The toy, at 0.3 a switch:
 
@@ -223,9 +224,9 @@ np.testing.assert_allclose(bound, ms.relax_by_columns(switching).bound, rtol=1e-
 # ## Problem 4: where fractions are legal
 #
 # The paper's section V blends the worst and the best model, with $c_t \in [0, 1]$ of the best
-# (`eq:perModelExpCont`): our relaxation with two models. With their differences of mean errors in
-# the columns of $D$, $x^\top (\alpha D^\top \Psi D)\, x = \alpha (Dx)^\top \Psi (Dx) \ge 0$ (**theorem
-# 4**, `thm:psi`): a convex quadratic over a box, which takes polynomial time.
+# (`eq:perModelExpCont`): our relaxation with two models. Mean errors move by some $Dc$, and
+# $c^\top (\alpha D^\top \Psi D)\, c = \alpha (Dc)^\top \Psi (Dc) \ge 0$ (**theorem 4**, `thm:psi`): a convex
+# quadratic over a box, which takes polynomial time.
 
 # %%
 blend = ms.solve_blend(ms.BlendProblem(toy))
@@ -244,7 +245,8 @@ np.testing.assert_allclose(blend.cost, relaxed.value, rtol=1e-5)
 # selects fast solves that fast. The other direction proves nothing.
 # >
 # > **PARTITION.** Do positive integers $a_t$ split into two groups of equal sum? A robot that
-# foresees $s_t$, acts once and pays $u^2+(u+\sum s_t)^2$ has $\Psi = \frac12\mathbf{1}\mathbf{1}^\top$.
+# foresees $s_t$ acts once and pays $u^2+(u+\sum s_t)^2$. Errors move its best $u$ by half their sum,
+# which costs twice its square: $\Psi = \frac12\mathbf{1}\mathbf{1}^\top$.
 # Let two free models err by $\pm a_t$. A schedule costs $\frac12(\sum\pm a_t)^2$. So one of total at
 # most $K = 0$ exists **if and only if** the integers split.
 # >
@@ -268,7 +270,7 @@ print(f"graph of {graph.sum()} edges: our cut {ours}, largest {max(cuts)}")
 assert ours == max(cuts)
 
 # %% [markdown]
-# Typical instances may be easy: the published one's relaxation is tight to some $10^{-6}$ or better.
+# Typical instances may be easy: the published landing's relaxation is tight to some $10^{-6}$.
 #
 # **In one paragraph.** Weights make selection convex. Any weights give a value, their tangent a
 # bound; at the best weights the two meet. On a stiff $\Psi$ gradients are slow, Newton's method is

@@ -25,8 +25,8 @@ def derandomise(problem, b):
 #
 # Let model 0 err by 0 and model 1 by $a_t$, and let both err by minus the target at one more step.
 # Under $\Psi = \mathbf{1}\mathbf{1}^\top$ a schedule costs (chosen sum - target)$^2$: 0 exactly if
-# the chosen integers add up to it. The problem is written down in time proportional to the
-# integers, so SUBSET SUM is no harder than selection.
+# the chosen integers add up to it. The problem is written down in polynomial time, so
+# SUBSET SUM is no harder than selection.
 
 
 # %%
