@@ -157,7 +157,7 @@ np.testing.assert_allclose(row.sum() / row[40], 5**0.5, rtol=1e-6)
 # be wrong. Under `open_loop`, the default: a bias of 0.7 beside noise of variance 1; then two models
 # that err to opposite sides, beside an exact one that costs 1 a step.
 
-# %%
+# %% tags=["hide-input"]
 H = 12
 cases = {"bias or noise": ([0.7, 0], [0, 1], [0, 0])}  # means, variances, prices
 cases["left, right or exact"] = ([-0.5, 0.6, 0], [0, 0, 0], [0, 0, 1])

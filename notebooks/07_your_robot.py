@@ -213,7 +213,7 @@ except ValueError as error:
 # 1,000 descents in still air, on errors of the views kept back. **Predict**: which promises hold?
 
 
-# %%
+# %% tags=["hide-input"]
 def draw(residuals, N, rng):
     """Draw errors (N, H, W, 1) from residuals; where nothing was seen, the barometer's."""
     errors = pc.bootstrap_errors(residuals, path, N, rng, kernel=kernel)
@@ -229,7 +229,6 @@ def fly(errors, c):
     return control, control + free.perception_term(c) / 1000
 
 
-# %% tags=["hide-input"]
 unseen = draw(other, 1000, np.random.default_rng(0))
 again = ms.SelectionProblem.from_suite(Psi, suite_of(other)[0], beta=1 / 1000)
 print("control cost:   promised  by the other views   flown ± 95%    total")
