@@ -73,12 +73,12 @@ plt.show()
 # Any distribution will do, and two models may share their noise: one runs at a time.
 # (`ass:indepRV` and the lines about `eq:expTmp2` are misprinted: [paper.md](paper.md).)
 #
-# **Is it exact?** `thm:equivalence`: the simulated $\alpha J + \beta \sum_t \kappa_{c_t}$, averaged
-# over the noise, is our total (`opt:model_selection`) plus $\alpha J$ of the controller that is fed
-# the truth, the same for all schedules. So both have the same minima. **With a forecast**
-# of the pushes $s$ (`open_loop` plans once, `preview` also looks) this holds for every $s$;
-# **without** (`causal`), on average if $s$ has mean 0. The folded cell tries it on a robot on a line,
-# $x_{t+1} = x_t + u_t + s_t$, with all schedules of three steps, all signs of noise and pushes:
+# **Is it exact?** `thm:equivalence`: simulated control cost $\alpha J$ and prices, averaged over the
+# noise, are our total (`opt:model_selection`) plus $\alpha J$ of the controller that is fed the
+# truth, the same for all schedules. So both have the same minima. **With a forecast** of all
+# pushes $s$ (`open_loop` plans once, `preview` also looks) this holds for every $s$; with **the next
+# push alone** (`causal`), on average if $s$ has mean 0. The folded cell tries it on a robot on a
+# line, $x_{t+1} = x_t + u_t + s_t$, with all schedules of three steps, all signs of noise and pushes:
 
 
 # %%
@@ -139,8 +139,8 @@ np.testing.assert_allclose(row[41:50] / row[40:49], (3 - 5**0.5) / 2, rtol=1e-6)
 np.testing.assert_allclose(row.sum() / row[40], 5**0.5, rtol=1e-6)
 
 # %% [markdown]
-# - **Plan once, only the end charged**: every thrust is off by $\mathbf 1^\top e / (H+1)$, so
-#   $\Psi = \frac{H}{H+1} \mathbf 1 \mathbf 1^\top$, the factor is $H$.
+# - **Plan once, only the end charged**: every thrust is off by $d = \mathbf 1^\top e / (H+1)$, the
+#   end by $Hd$: in all $Hd^2 + (Hd)^2 = \frac{H}{H+1} (\mathbf 1^\top e)^2$, the factor is $H$.
 # - **Preview, position charged**: it braces a few steps ahead. $\Psi_{tk}$ decays like
 #   $a^{|t-k|}$ with the closed loop $a = (3 - \sqrt 5)/2$, the factor tends to
 #   $(1 + a)/(1 - a) = \sqrt 5$. (With only the end charged it braces from the start: no bound.)
@@ -154,8 +154,8 @@ np.testing.assert_allclose(row.sum() / row[40], 5**0.5, rtol=1e-6)
 # do: switching models at both $t$ and $k$ costs $2\alpha\, \delta_t^\top \Psi_{tk} \delta_k$ beyond the
 # two alone, $\delta$ the difference of the means. If all means are 0, or $\Psi$ is block
 # diagonal, the model that is cheapest at each step alone is the optimum. Else this *greedy* choice can
-# be wrong. Under `open_loop`, the default: a bias of 0.7 beside noise of variance 1; then two models
-# that err to opposite sides, beside an exact one that costs 1 a step.
+# be wrong. Under `open_loop`, the default, with `H = 12`: a bias of 0.7 (model 0) or noise of
+# variance 1; then biases of -0.5 and 0.6, or an exact model (2) that costs 1 a step.
 
 # %% tags=["hide-input"]
 H = 12
@@ -172,8 +172,7 @@ assert test.total_cost(greedy) > test.total_cost([2] * H) > 20 * best.cost
 
 # %% [markdown]
 # The larger mean square wins (one bias meets no other), and two wrong models in turn beat
-# the right one (12 throughout; greedy leaves it at the end, where $0.25\, \Psi_{tt} < 1$). A coin
-# between models cannot help: it pays an average over schedules.
+# the right one (12 throughout; greedy leaves it at the end, where $0.5^2\, \Psi_{tt} < 1$).
 #
 # ## Errors that persist
 #
@@ -193,9 +192,8 @@ for information in ("open_loop", "preview", "causal"):
     np.testing.assert_allclose(cost[-1], alone.psi.sum())  # that of a constant bias
 
 # %% [markdown]
-# At $\rho = 1$ an error is a bias that was drawn once: what remains beside a known mean, of
-# a size $\tau$ and a **sign that you do not know**. It is tempting to enter it as a mean, $+\tau$
-# for one model, $-\tau$ for another. Right for a single model: a square has no sign. For two it is
+# At $\rho = 1$ the noise is a bias that was drawn once, of size $\tau$ and a **sign that you do not
+# know**. It is tempting to enter it as a mean, $+\tau$ for one model, $-\tau$ for another. Right for a single model: a square has no sign. For two it is
 # not. Take two steps, all entries of $\Psi$ equal to 1, both $\tau = 1$: either model alone costs 4;
 # in turn they cost 0 on paper. But independent signs agree half of the time: truly it is 2, the
 # average of 0 and 4.
@@ -204,21 +202,21 @@ for information in ("open_loop", "preview", "causal"):
 # $\sum_w \tau_w^2\, \mathbf 1_w^\top \Psi \mathbf 1_w$: where errors meet, it can pay to mix models,
 # a **portfolio**, even if one of them is best alone. Where they do not (`causal`), or where one model
 # is far steadier and $H$ short, at equal prices and noise the steadiest runs alone.
-# `correlated_problem` gives each model an error component of its own, and `solve` proves the optimum:
+# `correlated_problem` writes this cost as an ordinary problem, and `solve` proves the optimum:
 
 # %%
 tau, quiet = np.array([0.7, 1.0, 1.2]), np.full((H, 3, 1), 0.05)  # quiet is drawn anew each step
 covariance = ms.persistent_bias(tau**2, quiet)
 free = ms.SelectionProblem(ms.psi(line(H)), 0 * quiet, quiet, model_cost=[0, 0, 0])
 views = {
-    "as if independent": replace(free, variance=quiet + tau[:, None] ** 2),
+    "as if drawn anew": replace(free, variance=quiet + tau[:, None] ** 2),
     "as if known, ±τ": replace(free, mean=0 * quiet + (tau * [1, -1, 1])[:, None]),
     "portfolio": ms.correlated_problem(free, covariance),
 }
 found = {name: ms.solve(problem) for name, problem in views.items()}
 paid = [ms.correlated_cost(free, answer.choices, covariance) for answer in found.values()]
 
-# %% alt="Predicted and true costs of three schedules. As if independent: the steadiest model throughout, 39 predicted and 317 true. As if known: all three in turn, 4 and 222. The portfolio: the steadiest at seven steps, the next at three, the least steady at two, 176 and 176." tags=["hide-input"]
+# %% alt="Predicted and true costs of three schedules. As if drawn anew: the steadiest model throughout, 39 predicted and 317 true. As if known: all three in turn, 4 and 222. The portfolio: the steadiest at seven steps, the next at three, the least steady at two, 176 and 176." tags=["hide-input"]
 best = found["portfolio"]
 assert best.is_optimal and np.isclose(best.cost, paid[2]) and paid[2] < 0.6 * paid[0]
 np.testing.assert_allclose(views["as if known, ±τ"].total_cost([0] * H), paid[0])  # one alone
@@ -242,9 +240,9 @@ plt.show()
 # %% [markdown]
 # **In one paragraph.** A controller feels the mean of the errors through all of $\Psi$, and their
 # covariance within a step through its diagonal blocks. With one component a bias costs up to $H$
-# times what noise of its mean square does. Mean squares mislead, and choosing step by step can be
-# wrong where means meet. Errors that persist meet like a bias of unknown sign: they may ask for a
-# portfolio. Next: the best of $W^H$ schedules, with a proof.
+# times what noise of its mean square does. Mean squares can mislead, and so can choosing step by
+# step, where means meet. Errors that persist meet like a bias of unknown sign: they may ask for a
+# portfolio. Next: the best of all schedules, with a proof.
 #
 # ## Recall
 #
