@@ -70,8 +70,8 @@ plt.show()
 # Take $x_{t+1} = x_t + u_t + s_t$ and $J = x_2^2 + u_0^2 + u_1^2$. Start from the end.
 #
 # - The best last command is $u_1 = -\frac12 (x_1 + s_1)$. Off by $v$, it costs $2v^2$ more.
-# - The best first one, if that follows, is $u_0 = -\frac13 (x_0 + s_0 + s_1)$. Off by $v$, it costs
-#   $\frac32 v^2$ more.
+# - That leaves $\frac12 (x_1 + s_1)^2 + u_0^2$: the best first one is $u_0 = -\frac13 (x_0 + s_0 +
+#   s_1)$. Off by $v$, it costs $\frac32 v^2$ more.
 #
 # Now $s$ is estimated with errors $e_0$ and $e_1$. The first command is off by $\frac13 (e_0 +
 # e_1)$, up to its sign. The second depends on the controller:
@@ -130,8 +130,9 @@ for information in ("preview", "open_loop"):
 #
 # In the last two rows the models measure the state, and $s$ pushes unseen.
 #
-# In code each quantity is a matrix that multiplies $e$. `riccati` is LQR's recursion. `push` and `q`
-# are what this input and later ones add to half the slope of the cost to come, at $x_{t+1}$:
+# In code each quantity is a matrix that multiplies $e$. `push` and `q` are what this input and later
+# ones add to half the slope of the cost to come, at $x_{t+1}$. `B.T` takes it to the command,
+# `closed_loop.T` to $x_t$:
 
 # %%
 TABLE = {  # memory, now, foresight
@@ -145,7 +146,7 @@ TABLE = {  # memory, now, foresight
 def psi_by_step(task, information):
     """Return (H, pH, pH): e' psi_by_step[t] e is what step t pays; their sum is Psi."""
     (memory, now, foresight), H = TABLE[information], task.horizon
-    law = ms.riccati(task)  # P: what a state costs; K; S = R + B'PB; closed_loop = A - BK
+    law = ms.riccati(task)  # LQR. P: what a state costs; K; S = R + B'PB; closed_loop = A - BK
     Ce = task.C @ np.eye(task.p * H).reshape(H, task.p, -1)
     past = [0 * Ce[0]]
     for t in range(H - 1):
@@ -169,8 +170,8 @@ for information in TABLE:
     np.testing.assert_allclose(Psi, ms.psi(two, information))
 
 # %% [markdown]
-# The paper states the policy `preview` and takes $\Psi$ from a source on `open_loop`. Take the $\Psi$ of the
-# controller that runs.
+# The paper's policy is `preview`, its $\Psi$ that of `open_loop`. Take that of the controller that
+# runs.
 #
 # **With a forecast refreshed at every step** (MPC) step $t$ pays as under `preview`, for the errors
 # of the forecast made at $t$. No later step uses it, so steps decouple.
@@ -178,7 +179,7 @@ for information in TABLE:
 # ## Fly it
 #
 # A boat holds its place against waves for 40 steps; offset and thrust cost. It gets the same errors
-# in 1000 random seas and in their mirror images:
+# in 1000 random seas and their mirror images:
 
 # %% tags=["hide-input"]
 dt, H, rng = 0.2, 40, np.random.default_rng(1)
@@ -204,9 +205,9 @@ for information in TABLE:
     np.testing.assert_allclose(found.mean(), price)
 
 # %% [markdown]
-# With a forecast $e^\top \Psi e$ is exact in every sea. Without one even right beliefs miss later
-# waves, and an error may happen to help. Where $s$ has mean 0 and is independent of $e$, this
-# averages out: $e^\top \Psi e$ is exact **in expectation**.
+# With a forecast the price is exact in every sea. Without one even right beliefs miss later waves,
+# and an error may help. Where $s$ has mean 0 and is independent of $e$, this averages out:
+# $e^\top \Psi e$ is exact **in expectation**.
 #
 # ## Reading $\Psi$
 #
@@ -283,8 +284,8 @@ assert prices["alternating"] < prices["noisy"] < prices["biased"]
 # ## Which model at which step?
 #
 # For the boat a small model errs by 0.4 at every step and is free, a medium one errs by 0.15 and
-# costs 0.1 a step, a large one is right and costs 0.3. The cheapest schedules, errors and models
-# together (first number: the total; second: the best single model's):
+# costs 0.1 a step, a large one is right and costs 0.3. The cheapest schedules, their totals
+# (errors and models), and the best single model's (small):
 
 # %%
 errors = np.tile([[0.4], [0.15], [0.0]], (H, 1, 1))  # (H, W, p): small, medium, large
@@ -297,7 +298,7 @@ for name in ("open_loop", "preview", "causal"):
     assert best.is_optimal
 
 # %% [markdown]
-# One error alone is dearest under `open_loop`, this constant one under `preview`: little is blue.
+# One error alone is dearest under `open_loop`, 0.4 at every step under `preview`: little is blue.
 #
 # **In one paragraph.** Wrong beliefs about the state (memory), this input (now) and later ones
 # (foresight) put commands off. $e^\top \Psi e$ is what all commands pay. By memory and foresight
