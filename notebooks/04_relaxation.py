@@ -67,7 +67,7 @@ plt.show()
 # ## Duality
 #
 # Start at equal weights: $d = (\frac14,\frac14)$, cost 0.331. Replace $d^\top \Psi d$ by its tangent
-# there: one unit of error now costs $2 \Psi d = (0.6, 0.45)$, at any weights. So b0 costs 0.6, then
+# there: one unit of error costs $2 \Psi d = (0.6, 0.45)$, at any weights. So b0 costs 0.6, then
 # 0.45; b1 costs $-0.5 \cdot 0.6 + 0.2 = -0.1$, then $-0.025$. The cheapest is b1, twice. With the
 # tangent's constant, $-d^\top \Psi d = -0.131$, that is $-0.256$. A
 # tangent lies below a convex function: the minimum is between this and 0.331.
@@ -81,19 +81,19 @@ plt.show()
 # LB(x) = \sum_t \min_w G_{tw} - \alpha x^\top \Psi x .$$
 #
 # 1. $LB(x) \le f(b)$: the tangent is below $f$, and $LB$ is its least value.
-# 2. At the best weights, with $x$ their own $d$, both are equal: a move that lowered the tangent
-#    would lower $f$ at first, too.
+# 2. At the best weights, with $x$ their own $d$, both are equal: no move lowers the tangent, as it
+#    would lower $f$ at first.
 #
 # So **max LB = min f**. At any weights $f(b)$ is above the minimum by at most the **duality gap**,
-# $f(b) - LB(d)$, so a method may stop at any round. *Projected gradient* steps down along $G$, by
-# one over the largest curvature of $f$, then to the nearest weights allowed:
+# $f(b) - LB(d)$, so a method may stop at any round. *Projected gradient* steps down the
+# gradient, $G$ at $d$, by one over the largest curvature, then to the nearest weights allowed:
 
 
 # %%
 def evaluate(problem, b):
     """Return f, LB and r, G less its least in each row, at weights b (H, W); p = 1."""
     bound, r = ms.reference_bound(problem, (b * problem.mean[:, :, 0]).sum(axis=1))
-    return bound + (r * b).sum(), bound, r  # f has sum(G * b), LB each row's least G
+    return bound + (r * b).sum(), bound, r  # f - LB: sum(G * b) less each row's least
 
 
 b, curvature = np.full((2, 2), 0.5), 2 * (mean[0] ** 2).sum() * np.linalg.eigvalsh(toy.psi).max()
@@ -101,12 +101,12 @@ for k in range(5):
     value, bound, r = evaluate(toy, b)
     print(f"round {k}: {bound:.4f} <= {value:.4f}, weights of b1 {b[:, 1].round(3)}")
     assert bound <= relaxed.value + 1e-12 <= value + 2e-12
-    b = ms.project_to_simplex(b - r / curvature)  # G does the same: rows add up to 1
+    b = ms.project_to_simplex(b - r / curvature)  # as G would: a row's constant drops out
 
 # %% [markdown]
 # ## Conditioning
 #
-# A step that suits the steepest direction is too short for flat ones. So rounds may grow with the
+# A step that suits the steepest direction is too short for flat ones: rounds may grow with the
 # **condition number** $\kappa$ of $\Psi$, its largest eigenvalue over its smallest (large: *stiff*);
 # with Nesterov's momentum about as $\sqrt\kappa$. Newton's method scales each direction by its own
 # curvature, for one linear system a round; a barrier keeps weights positive. On 20 steps, two models
@@ -167,7 +167,7 @@ print("steps with fractional weights:", (b.max(axis=1) < 0.999).sum(), "of 40")
 # %% [markdown]
 # **Round and swap**: take the largest weight of each step, then change single steps while that
 # helps. **Draw**: take model $w$ at step $t$ with chance $b_{tw}$, independently. Errors are $d$ on
-# average; but they vary about it, and their variance $v_t$ costs $\alpha \Psi_{tt} v_t$ besides
+# average, but vary about it; their variance $v_t$ costs $\alpha \Psi_{tt} v_t$ besides
 # (`expected_draw`).
 
 
@@ -197,9 +197,10 @@ for name, cost in results.items():
 #
 # ## Switching costs: whole schedules as columns
 #
-# Weights of single models do not say how often one changes. If a change has a price, give weights
-# to whole schedules, the **columns**. Blend those at hand at least cost. The cheapest path through
-# this blend's $G$, switches included, gives a bound and, until that meets the cost, the next column.
+# Half b0, half b1, twice: does one change? Weights of single models do not say. If a change has a
+# price, give weights to whole schedules, the **columns**. Blend those at hand at least cost. The
+# cheapest schedule at this blend's $G$, switches included, gives a bound and, until that meets the
+# cost, the next column.
 #
 # The toy, at 0.3 a switch:
 
@@ -236,7 +237,7 @@ np.testing.assert_allclose(blend.cost, relaxed.value, rtol=1e-5)
 # %% [markdown]
 # ## What is NP-hard
 #
-# `remark:np_status` leaves open whether selection itself is NP-hard. It is.
+# `remark:np_status` leaves open whether selection is NP-hard. It is.
 #
 # > **Decision problem.** Given a robot, errors and prices, all rational: is there a schedule of
 # total at most $K$? One is quickly checked, so this is in NP.
@@ -246,7 +247,7 @@ np.testing.assert_allclose(blend.cost, relaxed.value, rtol=1e-5)
 # >
 # > **PARTITION.** Do positive integers $a_t$ split into two groups of equal sum? A robot that
 # foresees $s_t$ acts once and pays $u^2+(u+\sum s_t)^2$. Errors move its best $u$ by half their sum,
-# which costs twice its square: $\Psi = \frac12\mathbf{1}\mathbf{1}^\top$.
+# which costs twice that half's square: $\Psi = \frac12\mathbf{1}\mathbf{1}^\top$.
 # Let two free models err by $\pm a_t$. A schedule costs $\frac12(\sum\pm a_t)^2$. So one of total at
 # most $K = 0$ exists **if and only if** the integers split.
 # >
@@ -270,7 +271,7 @@ print(f"graph of {graph.sum()} edges: our cut {ours}, largest {max(cuts)}")
 assert ours == max(cuts)
 
 # %% [markdown]
-# Typical instances may be easy: the published landing's relaxation is tight to some $10^{-6}$.
+# Typical instances may be easy: on the published landing, relaxing loses some $10^{-6}$.
 #
 # **In one paragraph.** Weights make selection convex. Any weights give a value, their tangent a
 # bound; at the best weights the two meet. On a stiff $\Psi$ gradients are slow, Newton's method is

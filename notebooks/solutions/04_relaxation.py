@@ -44,8 +44,8 @@ def subset_problem(integers, target):
 # $-1.5$. The relaxation blends them 3 : 2, so that nothing is left. Rounding takes $+1$
 # everywhere: the errors add up, at a cost of $H^2$. Draws are independent, so only variances add
 # up: $1.5 H$. (The relaxation has many optima here; a method may return another one. A trifle of
-# $\Psi_{tt}$ makes it unique.) Nor is a draw below the best schedule, on average: two of five
-# steps at $-1.5$ cost almost nothing.
+# $\Psi_{tt}$ makes it unique.) Exercise 1 does not round: each of its choices answers to those
+# before it. And with two of five steps at $-1.5$ a schedule costs almost nothing.
 
 
 # %%
