@@ -66,7 +66,7 @@ plt.show()
 
 # %% [markdown]
 # The best schedule known leaves a **room** of $\Delta = 0.725 - 0.258 = 0.467$ above the bound. One
-# b2 adds 0.48, so it is in no better schedule, and four are left.
+# b2 adds 0.48: no better schedule has any; four are left.
 #
 # ## In general
 #
@@ -75,7 +75,7 @@ plt.show()
 #
 # $$\mathrm{total}(c) = LB(d) + \sum_t r_{t,c_t} + (\mu_c - d)^\top \Psi (\mu_c - d).$$
 #
-# The code's `G` is what a model costs along the tangent:
+# `G` is what a model costs along the tangent:
 
 
 # %%
@@ -89,8 +89,8 @@ def certificate(Psi, mean, linear, d):
 # A bad $d$ makes the bound low, never wrong. The best $d$, as above, is the mean error of the
 # cheapest **blend**: weights of models in place of a choice (notebook 4).
 #
-# A longer cart has eight steps, four models at 0 to 3. The identity holds for all its schedules, at
-# a random $d$ and the blend's:
+# A longer cart has eight steps and four models, priced 0 to 3. The identity holds for all its
+# schedules, at a random $d$ and the blend's:
 
 
 # %% tags=["hide-input"]
@@ -117,7 +117,7 @@ for d in (np.random.default_rng(0).normal(size=8), quick.reference):  # any d; t
     print(f"LB(d) = {bound:6.2f} <= optimum {costs.min():.2f} <= {quick.cost:.2f}, quickly found")
 room = quick.cost - bound + 1e-9 * quick.cost  # Delta, and a little for rounding
 left = (reduced <= room).sum(axis=1).prod()
-print(f"room {room:.2f}: reduced costs leave {left} schedules, of {len(costs)}")
+print(f"room {room:.2f}: the models left make {left} schedules, of {len(costs)}")
 
 # %% [markdown]
 # Of the $8^{150}$ schedules of the paper's landing reduced costs leave:
@@ -136,20 +136,21 @@ assert possible.sum() == 150 and possible[np.arange(150), claim.choices].all()
 # ## Labels: what a partial schedule must remember
 #
 # We go from the last step to the first. Under `preview` the square is a regret, as in notebook 1,
-# of deviations $\varepsilon_t = \mu_{t,c_t} - d_t$. Step $t$ of a cart feels $h_t =
+# of deviations $\varepsilon_t=\mu_{t,c_t}-d_t$. Step $t$ of a cart feels $h_t =
 # P_{t+1}\varepsilon_t + q_{t+1}$: its own deviation and, in the **costate** $q$, all later ones. It
-# pays $h_t^2/S_t$ and leaves $q_t = (1-K_t)\,h_t$ to the step before ($P$, $K$: Riccati matrices and
+# pays $h_t^2/S_t$ and leaves $q_t = (1-K_t)\,h_t$ to the step before ($P, K$: Riccati matrices and
 # gains; $S_t=R+P_{t+1}$).
 #
-# Two steps: $q_2=0,\ P_2=1,\ S_1=2,\ K_1=\frac12$, then $P_1=\frac32,\ S_0=\frac52$. If b1 runs
-# at step 0, $P_1\varepsilon_0=-0.817$:
+# Two steps: $q_2=0,\ P_2=1,\ S_1=2,\ K_1=\frac12$, then $P_1=\frac32,\ S_0=\frac52$. Expanded,
+# $(\frac32\varepsilon_0+\frac12\varepsilon_1)^2/\frac52+\varepsilon_1^2/2$ is the square. If b1 runs
+# at step 0, $P_1\varepsilon_0=-0.817$ (no reduced costs):
 #
 # | step 1 | pays | leaves $q_1$ | $h_0$ | step 0 pays | in all |
 # |---|---|---|---|---|---|
 # | b1 | 0.173 | -0.294 | $-0.817-0.294$ | 0.494 | 0.667 |
 # | b0 | 0.415 | 0.456 | $-0.817+0.456$ | 0.052 | 0.467 |
 #
-# b1 was cheaper so far. But what b0 leaves cancels over half of the -0.817.
+# b1 was cheaper so far, but what b0 leaves cancels over half of -0.817.
 #
 # A **label** is a schedule from some step to the last. It keeps its models, its extra cost $x$
 # (reduced costs and squares) and its costate, all that earlier steps feel of it.
@@ -158,9 +159,9 @@ assert possible.sum() == 150 and possible[np.arange(150), claim.choices].all()
 #
 # **Out of room**: its extra cost exceeds $\Delta$.
 #
-# **Dominated.** On two steps, step 0 adds a reduced cost and $(v + q)^2/S_0$ to a label; $v =
-# P_1\varepsilon_0$ comes from the model of step 0. So each label is a parabola over $v$. A bar shows
-# where it is within the room. The dashed label runs a fourth model.
+# **Dominated.** On two steps, step 0 adds a reduced cost and $(v + q)^2/S_0$ to a label; the
+# model there sets $v=P_1\varepsilon_0$. So each label is a parabola over $v$. A bar shows where it is within
+# the room. The dashed label runs a fourth model.
 
 # %% alt="Three equal parabolas over v and a line at the room, 0.467. Bars show where each is below it. That of b0 reaches left beyond that of b1: it lives. That of the dashed one lies inside that of b1: it dies." tags=["hide-input"]
 low, _ = ms.reference_bound(toy, [2 / 45, 4 / 45])
@@ -191,14 +192,14 @@ assert spans["b0"][0] < spans["b1"][0]
 # %% [markdown]
 # **If the bar of $j$ lies inside that of $i$, $j$ may die.** At the ends of its bar, $j$ reaches the
 # room and $i$ is not above. Two parabolas of one shape differ by a straight line, so $i$ is not above
-# $j$ in between. In units of $\sqrt{S_0}$ a bar reaches $\sqrt{\Delta - x}$ to either side of
-# the lowest point. If these points are $\rho$ apart, the rule is
+# in between, either. In units of $\sqrt{S_0}$ a bar reaches $\sqrt{\Delta - x}$ to either side of the
+# lowest point. If these points are $\rho$ apart, the rule is
 #
 # $$\rho + \sqrt{\Delta - x_j} \le \sqrt{\Delta - x_i} .$$
 #
-# With more steps `felt` adds up what earlier ones feel of a costate, $1/S_0$ above. What they pay
-# besides shortens both bars, which stay nested. With more states bars become balls (notebook 0).
-# The whole search, for a cart:
+# With more steps `felt`, $1/S_0$ above, adds up what earlier ones feel of a costate. What they pay
+# besides shortens both bars, the shorter one faster: it stays inside. With more states bars become
+# balls (notebook 0). The whole search, for a cart:
 
 
 # %%
@@ -240,7 +241,7 @@ np.testing.assert_allclose(bound + extra, costs.min())
 # ## Whose word is a bound?
 #
 # `check_certificate` derives cost and $LB(d)$ anew. It cannot repeat a search, so it accepts any
-# `lower_bound` between them. `Schedule.proof` says what carries that: `"root"`, which you can check,
+# `lower_bound` between them. `Schedule.proof` says whose word it is: `"root"`, which you can check,
 # or `"search"`. A lie that passes, though only 10.03 is vouched for:
 
 # %%
@@ -251,14 +252,14 @@ assert lie.is_optimal and lie.cost > 1.01 * costs.min() and lie.proof == "search
 # %% [markdown]
 # ## Switching costs and a budget: the same certificate
 #
-# Let a change of model cost 0.5. Now a schedule is a **path**: its nodes cost `G`, its arcs 0.5
-# where the model changes. The cheapest path takes the place of the sum of minima.
+# Let a change of model cost 0.5. Now a schedule is a **path**: nodes cost `G`, arcs 0.5 where
+# the model changes. The cheapest path replaces the sum of minima.
 #
 # Let a schedule also spend at most a budget of 3 on models and changes. Each unit spent then
 # costs any $\lambda \ge 0$ more. The cheapest path, less $d^\top \Psi d$ and $3\lambda$, is the
 # bound. Above it come the path's excess over the cheapest, $\lambda$ times what is left of the
-# budget, and the square: within the budget none is negative. On the longer cart, $\lambda$ from a
-# blend that spends 3:
+# budget, and the square: within the budget none is negative. On the longer cart, with
+# $\lambda$ such that the cheapest blend spends 3, and its $d$:
 
 # %% tags=["hide-input"]
 limited = replace(problem, switch_cost=0.5 * (1 - np.eye(4)), budget=3.0)
@@ -270,9 +271,9 @@ assert bound <= answer.cost
 np.testing.assert_allclose(answer.cost, ms.enumerate_schedules(limited).cost)
 
 # %% [markdown]
-# **In one paragraph.** Any $d$ splits every cost into a bound, reduced costs and a square. Reduced
-# costs rule models out. The rest is searched from the last step: a label dies out of room or
-# dominated. Next: where $d$ comes from.
+# **In one paragraph.** Any $d$ splits every cost into a bound, a square and reduced costs, which rule
+# models out. The rest is searched from the last step: a label dies out of room or dominated. Next:
+# where $d$ comes from.
 #
 # ## Recall
 #
@@ -394,7 +395,10 @@ print("Exercise 2: right")
 
 # %% tags=["exercise"]
 def one_sign():
-    """Return ms.SelectionProblem(psi, mean, variance, model_cost) and why it has a gap."""
+    """Return ms.SelectionProblem(psi, mean, variance, model_cost) and why.
+
+    Means and variances are (H, W, 1), with H steps and W models.
+    """
     ...
 
 
