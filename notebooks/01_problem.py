@@ -20,7 +20,7 @@
 # e$. Larger models err less and cost more. **The question**: which model should run at which step?
 # This notebook finds what errors cost.
 
-# %%
+# %% tags=["hide-input"]
 from dataclasses import replace
 from fractions import Fraction
 from itertools import product

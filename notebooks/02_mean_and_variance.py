@@ -15,7 +15,7 @@
 # Errors $e$ cost a controller $e^\top \Psi e$ (notebook 1). They are random. A model card prints one
 # number for them, a mean square. What does the controller feel?
 
-# %%
+# %% tags=["hide-input"]
 from dataclasses import replace
 from itertools import product
 
@@ -115,7 +115,7 @@ for information in ("open_loop", "preview", "causal"):
 # $\mathrm{tr}\, \Psi$. **Predict** how their ratio grows with the horizon of the robot on a line.
 
 
-# %%
+# %% tags=["hide-input"]
 def ratio(H, Q, information):
     """Return the cost of a constant bias over that of noise of equal mean square."""
     Psi = ms.psi(line(H, Q), information)
@@ -180,7 +180,7 @@ assert test.total_cost(greedy) > test.total_cost([2] * H) > 20 * best.cost
 # still holds, $E[e^\top \Psi e] = \sum_{t,k} \Psi_{tk} \rho^{|t-k|}$. For a $\rho$ of -0.6, 0, 0.6
 # and 1:
 
-# %%
+# %% tags=["hide-input"]
 white = np.ones((H, 1, 1))
 for information in ("open_loop", "preview", "causal"):
     alone = ms.SelectionProblem(ms.psi(line(H), information), 0 * white, white, [0])

@@ -18,7 +18,7 @@
 # the error of step $t$ alone, $2\Psi_{tk}$ the meeting of two. A total is $\alpha$ times control
 # cost plus $\beta$ times the prices paid.
 
-# %%
+# %% tags=["hide-input"]
 from dataclasses import replace
 
 import matplotlib.pyplot as plt
@@ -241,7 +241,7 @@ assert round(old / new - 1, 3) == 5.674 and round(1 - new / old, 3) == 0.850
 # error: try a ninth model, free, that always says 0.001.
 
 
-# %%
+# %% tags=["hide-input"]
 def with_constant(offset=0.0, noise=0.002 / 12**0.5, run=result):
     """The problem with a ninth, free model, of this mean error and standard deviation."""
     tables = {"mean": (run.suite.mean, offset), "variance": (run.suite.variance, noise**2)}

@@ -23,7 +23,7 @@
 # | $A, B, C, Q, R$, gains | the sensitivity $\Psi$ |
 # | prices, switching costs, a budget | a schedule with a proof, as JSON; a new one at every step |
 
-# %%
+# %% tags=["hide-input"]
 from dataclasses import replace
 
 import matplotlib.pyplot as plt
@@ -34,6 +34,8 @@ import perception as pc
 from landing import STYLE
 
 plt.rcParams.update(STYLE)
+
+# %%
 dt, H = 0.2, 50  # s, steps
 path = {"altitude": 80 - 1.4 * np.arange(H)}  # ft, at 7 ft/s
 
