@@ -130,8 +130,8 @@ for information in ("preview", "open_loop"):
 #
 # In the last two rows the models measure the state, and $s$ pushes unseen.
 #
-# In code each quantity is a matrix that multiplies $e$. `push` and `q` are what this input and later
-# ones add to half the slope of the cost to come, at $x_{t+1}$. `B.T` takes it to the command,
+# In code each quantity is a matrix that multiplies $e$. `push` and `q` are what this input and
+# later ones add to half the slope of the cost to come, at $x_{t+1}$. `B.T` takes it to the command,
 # `closed_loop.T` to $x_t$:
 
 # %%

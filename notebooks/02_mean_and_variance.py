@@ -12,8 +12,8 @@
 # `eq:perModelExp`, `eq:perModelVar`, `eq:jp`, `eq:jtot`, `thm:equivalence`,
 # `opt:model_selection`.
 #
-# Errors $e$ cost a controller $e^\top \Psi e$ (notebook 1). They are random. A model card prints one
-# number for them, a mean square. What does the controller feel?
+# Errors $e$ cost a controller $e^\top \Psi e$ (notebook 1). They are random. A model card prints
+# one number for them, a mean square. What does the controller feel?
 
 # %% tags=["hide-input"]
 from dataclasses import replace
@@ -52,8 +52,8 @@ plt.show()
 # %% [markdown]
 # ## In general
 #
-# Let $e = \mu + n$, a mean and a noise; $\Sigma_t$ is the covariance of $n_t$, $\Psi_{tk}$ the block
-# of steps $t$ and $k$.
+# Let $e = \mu + n$, a mean and a noise; $\Sigma_t$ is the covariance of $n_t$, $\Psi_{tk}$ the
+# block of steps $t$ and $k$.
 #
 # 1. **Linearity** (`eq:expTmp1`): $E[e^\top \Psi e] = \sum_{t,k} E[e_t^\top \Psi_{tk} e_k]$.
 # 2. **The mean splits off**: mixed terms $2\mu^\top \Psi E[n]$ vanish.
@@ -73,12 +73,12 @@ plt.show()
 # Any distribution will do, and two models may share their noise: one runs at a time.
 # (`ass:indepRV` and the lines about `eq:expTmp2` are misprinted: [paper.md](paper.md).)
 #
-# **Is it exact?** `thm:equivalence`: simulated control cost $\alpha J$ and prices, averaged over the
-# noise, are our total (`opt:model_selection`) plus $\alpha J$ of the controller that is fed the
-# truth, the same for all schedules. So both have the same minima. **With a forecast** of all
-# pushes $s$ (`open_loop` plans once, `preview` also looks) this holds for every $s$; with **the next
-# push alone** (`causal`), on average if $s$ has mean 0. The folded cell tries it on a robot on a
-# line, $x_{t+1} = x_t + u_t + s_t$, with all schedules of three steps, all signs of noise and pushes:
+# **Is it exact?** `thm:equivalence`: simulated control cost $\alpha J$ and prices, averaged over
+# the noise, are our total (`opt:model_selection`) plus $\alpha J$ of the controller that is fed the
+# truth, the same for all schedules. So both have the same minima. **With a forecast** of all pushes
+# $s$ (`open_loop` plans once, `preview` also looks) this holds for every $s$; with **the next push
+# alone** (`causal`), on average if $s$ has mean 0. The folded cell tries it on a robot on a line,
+# $x_{t+1} = x_t + u_t + s_t$, with all schedules of three steps, all signs of noise and pushes:
 
 
 # %%
@@ -151,10 +151,10 @@ np.testing.assert_allclose(row.sum() / row[40], 5**0.5, rtol=1e-6)
 # ## Step by step: right or wrong?
 #
 # Each $\Sigma_t$ stands beside its own $\Psi_{tt}$: **noise drawn anew never couples steps**. Means
-# do: switching models at both $t$ and $k$ costs $2\alpha\, \delta_t^\top \Psi_{tk} \delta_k$ beyond the
-# two alone, $\delta$ the difference of the means. If all means are 0, or $\Psi$ is block
-# diagonal, the model that is cheapest at each step alone is the optimum. Else this *greedy* choice can
-# be wrong. Under `open_loop`, the default, with `H = 12`: a bias of 0.7 (model 0) or noise of
+# do: switching models at both $t$ and $k$ costs $2\alpha\, \delta_t^\top \Psi_{tk} \delta_k$ beyond
+# the two alone, $\delta$ the difference of the means. If all means are 0, or $\Psi$ is block
+# diagonal, the model that is cheapest at each step alone is the optimum. Else this *greedy* choice
+# can be wrong. Under `open_loop`, the default, with `H = 12`: a bias of 0.7 (model 0) or noise of
 # variance 1; then biases of -0.5 and 0.6, or an exact model (2) that costs 1 a step.
 
 # %% tags=["hide-input"]
@@ -193,14 +193,14 @@ for information in ("open_loop", "preview", "causal"):
 
 # %% [markdown]
 # At $\rho = 1$ the noise is a bias that was drawn once, of size $\tau$ and a **sign that you do not
-# know**. It is tempting to enter it as a mean, $+\tau$ for one model, $-\tau$ for another. Right for a single model: a square has no sign. For two it is
-# not. Take two steps, all entries of $\Psi$ equal to 1, both $\tau = 1$: either model alone costs 4;
-# in turn they cost 0 on paper. But independent signs agree half of the time: truly it is 2, the
-# average of 0 and 4.
+# know**. It is tempting to enter it as a mean, $+\tau$ for one model, $-\tau$ for another. Right
+# for a single model: a square has no sign. For two it is not. Take two steps, all entries of $\Psi$
+# equal to 1, both $\tau = 1$: either model alone costs 4; in turn they cost 0 on paper. But
+# independent signs agree half of the time: truly it is 2, the average of 0 and 4.
 #
-# Still less than 4. With $\mathbf 1_w$ marking the steps that run model $w$, the cost is
-# $\sum_w \tau_w^2\, \mathbf 1_w^\top \Psi \mathbf 1_w$: where errors meet, it can pay to mix models,
-# a **portfolio**, even if one of them is best alone. Where they do not (`causal`), or where one model
+# Still less than 4. With $\mathbf 1_w$ marking the steps that run model $w$, the cost is $\sum_w
+# \tau_w^2\, \mathbf 1_w^\top \Psi \mathbf 1_w$: where errors meet, it can pay to mix models, a
+# **portfolio**, even if one of them is best alone. Where they do not (`causal`), or where one model
 # is far steadier and $H$ short, at equal prices and noise the steadiest runs alone.
 # `correlated_problem` writes this cost as an ordinary problem, and `solve` proves the optimum:
 

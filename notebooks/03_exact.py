@@ -142,8 +142,8 @@ assert possible.sum() == 150 and possible[np.arange(150), claim.choices].all()
 # gains; $S_t=R+P_{t+1}$).
 #
 # Two steps: $q_2=0,\ P_2=1,\ S_1=2,\ K_1=\frac12$, then $P_1=\frac32,\ S_0=\frac52$. Expanded,
-# $(\frac32\varepsilon_0+\frac12\varepsilon_1)^2/\frac52+\varepsilon_1^2/2$ is the square. If b1 runs
-# at step 0, $P_1\varepsilon_0=-0.817$ (no reduced costs):
+# $(\frac32\varepsilon_0+\frac12\varepsilon_1)^2/\frac52+\varepsilon_1^2/2$ is the square. If b1
+# runs at step 0, $P_1\varepsilon_0=-0.817$ (no reduced costs):
 #
 # | step 1 | pays | leaves $q_1$ | $h_0$ | step 0 pays | in all |
 # |---|---|---|---|---|---|
@@ -159,9 +159,9 @@ assert possible.sum() == 150 and possible[np.arange(150), claim.choices].all()
 #
 # **Out of room**: its extra cost exceeds $\Delta$.
 #
-# **Dominated.** On two steps, step 0 adds a reduced cost and $(v + q)^2/S_0$ to a label; the
-# model there sets $v=P_1\varepsilon_0$. So each label is a parabola over $v$. A bar shows where it is within
-# the room. The dashed label runs a fourth model.
+# **Dominated.** On two steps, step 0 adds a reduced cost and $(v + q)^2/S_0$ to a label; the model
+# there sets $v=P_1\varepsilon_0$. So each label is a parabola over $v$. A bar shows where it is
+# within the room. The dashed label runs a fourth model.
 
 # %% alt="Three equal parabolas over v and a line at the room, 0.467. Bars show where each is below it. That of b0 reaches left beyond that of b1: it lives. That of the dashed one lies inside that of b1: it dies." tags=["hide-input"]
 low, _ = ms.reference_bound(toy, [2 / 45, 4 / 45])
@@ -190,10 +190,10 @@ assert spans["b1"][0] <= dashed[0] and dashed[1] <= spans["b1"][1]
 assert spans["b0"][0] < spans["b1"][0]
 
 # %% [markdown]
-# **If the bar of $j$ lies inside that of $i$, $j$ may die.** At the ends of its bar, $j$ reaches the
-# room and $i$ is not above. Two parabolas of one shape differ by a straight line, so $i$ is not above
-# in between, either. In units of $\sqrt{S_0}$ a bar reaches $\sqrt{\Delta - x}$ to either side of the
-# lowest point. If these points are $\rho$ apart, the rule is
+# **If the bar of $j$ lies inside that of $i$, $j$ may die.** At the ends of its bar, $j$ reaches
+# the room and $i$ is not above. Two parabolas of one shape differ by a straight line, so $i$ is not
+# above in between, either. In units of $\sqrt{S_0}$ a bar reaches $\sqrt{\Delta - x}$ to either
+# side of the lowest point. If these points are $\rho$ apart, the rule is
 #
 # $$\rho + \sqrt{\Delta - x_j} \le \sqrt{\Delta - x_i} .$$
 #
@@ -271,9 +271,9 @@ assert bound <= answer.cost
 np.testing.assert_allclose(answer.cost, ms.enumerate_schedules(limited).cost)
 
 # %% [markdown]
-# **In one paragraph.** Any $d$ splits every cost into a bound, a square and reduced costs, which rule
-# models out. The rest is searched from the last step: a label dies out of room or dominated. Next:
-# where $d$ comes from.
+# **In one paragraph.** Any $d$ splits every cost into a bound, a square and reduced costs, which
+# rule models out. The rest is searched from the last step: a label dies out of room or dominated.
+# Next: where $d$ comes from.
 #
 # ## Recall
 #

@@ -45,8 +45,9 @@ print(f"best schedule {best.choices}, cost {best.cost:.3f}")
 assert relaxed.value < best.cost
 
 # %% [markdown]
-# At $\frac23$ both errors vanish; b1's price pulls a little lower. A point of the square is a pair of
-# weights, a corner a schedule. So the least cost is a **bound**: no schedule costs less than 0.258.
+# At $\frac23$ both errors vanish; b1's price pulls a little lower. A point of the square is a pair
+# of weights, a corner a schedule. So the least cost is a **bound**: no schedule costs less than
+# 0.258.
 
 # %% alt="Contours of the relaxed cost over the square of weights: a valley whose lowest point, 0.258, lies inside at (0.64, 0.61). The four corners are the schedules and cost 2.100, 0.950, 0.725 and 0.925, all more." tags=["hide-input"]
 side, corners, blend = np.linspace(0, 1, 101), [*product((0, 1), repeat=2)], ms.BlendProblem(toy)
@@ -66,11 +67,11 @@ plt.show()
 # %% [markdown]
 # ## Duality
 #
-# Start at equal weights: $d = (\frac14,\frac14)$, cost 0.331. Replace $d^\top \Psi d$ by its tangent
-# there: one unit of error costs $2 \Psi d = (0.6, 0.45)$, at any weights. So b0 costs 0.6, then
-# 0.45; b1 costs $-0.5 \cdot 0.6 + 0.2 = -0.1$, then $-0.025$. The cheapest is b1, twice. With the
-# tangent's constant, $-d^\top \Psi d = -0.131$, that is $-0.256$. A
-# tangent lies below a convex function: the minimum is between this and 0.331.
+# Start at equal weights: $d = (\frac14,\frac14)$, cost 0.331. Replace $d^\top \Psi d$ by its
+# tangent there: one unit of error costs $2 \Psi d = (0.6, 0.45)$, at any weights. So b0 costs 0.6,
+# then 0.45; b1 costs $-0.5 \cdot 0.6 + 0.2 = -0.1$, then $-0.025$. The cheapest is b1, twice. With
+# the tangent's constant, $-d^\top \Psi d = -0.131$, that is $-0.256$. A tangent lies below a convex
+# function: the minimum is between this and 0.331.
 #
 # **In general**, let model $w$ at step $t$ have mean error $\mu_{tw}$ and cost $\ell_{tw}$ (price
 # and noise). Weights $b$ blend the errors to $d$ and cost $f(b) = \alpha d^\top \Psi d + \sum_{tw}
@@ -107,10 +108,10 @@ for k in range(5):
 # ## Conditioning
 #
 # A step that suits the steepest direction is too short for flat ones: rounds may grow with the
-# **condition number** $\kappa$ of $\Psi$, its largest eigenvalue over its smallest (large: *stiff*);
-# with Nesterov's momentum about as $\sqrt\kappa$. Newton's method scales each direction by its own
-# curvature, for one linear system a round; a barrier keeps weights positive. On 20 steps, two models
-# that err by $\mp1$, an optimum inside:
+# **condition number** $\kappa$ of $\Psi$, its largest eigenvalue over its smallest (large:
+# *stiff*); with Nesterov's momentum about as $\sqrt\kappa$. Newton's method scales each direction
+# by its own curvature, for one linear system a round; a barrier keeps weights positive. On 20
+# steps, two models that err by $\mp1$, an optimum inside:
 
 
 # %% alt="Rounds to a gap of one millionth against the condition number from 1 to 1000, both logarithmic. Plain gradient rises from 1 to some 4,400, with momentum from 1 to about 200, Newton stays between 4 and 5." tags=["hide-input"]
@@ -225,9 +226,9 @@ np.testing.assert_allclose(bound, ms.relax_by_columns(switching).bound, rtol=1e-
 # ## Problem 4: where fractions are legal
 #
 # The paper's section V blends the worst and the best model, with $c_t \in [0, 1]$ of the best
-# (`eq:perModelExpCont`): our relaxation with two models. Mean errors move by some $Dc$, and
-# $c^\top (\alpha D^\top \Psi D)\, c = \alpha (Dc)^\top \Psi (Dc) \ge 0$ (**theorem 4**, `thm:psi`): a convex
-# quadratic over a box, which takes polynomial time.
+# (`eq:perModelExpCont`): our relaxation with two models. Mean errors move by some $Dc$, and $c^\top
+# (\alpha D^\top \Psi D)\, c = \alpha (Dc)^\top \Psi (Dc) \ge 0$ (**theorem 4**, `thm:psi`): a
+# convex quadratic over a box, which takes polynomial time.
 
 # %%
 blend = ms.solve_blend(ms.BlendProblem(toy))
@@ -246,10 +247,10 @@ np.testing.assert_allclose(blend.cost, relaxed.value, rtol=1e-5)
 # selects fast solves that fast. The other direction proves nothing.
 # >
 # > **PARTITION.** Do positive integers $a_t$ split into two groups of equal sum? A robot that
-# foresees $s_t$ acts once and pays $u^2+(u+\sum s_t)^2$. Errors move its best $u$ by half their sum,
-# which costs twice that half's square: $\Psi = \frac12\mathbf{1}\mathbf{1}^\top$.
-# Let two free models err by $\pm a_t$. A schedule costs $\frac12(\sum\pm a_t)^2$. So one of total at
-# most $K = 0$ exists **if and only if** the integers split.
+# foresees $s_t$ acts once and pays $u^2+(u+\sum s_t)^2$. Errors move its best $u$ by half their
+# sum, which costs twice that half's square: $\Psi = \frac12\mathbf{1}\mathbf{1}^\top$. Let two free
+# models err by $\pm a_t$. A schedule costs $\frac12(\sum\pm a_t)^2$. So one of total at most $K =
+# 0$ exists **if and only if** the integers split.
 # >
 # > **MAXIMUM CUT.** Part the nodes of a graph so that most edges join the two sides. With a state
 # for each node, and errors $\pm 1$ for the sides, the cheapest schedule is a largest cut (proof:

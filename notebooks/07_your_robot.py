@@ -44,7 +44,8 @@ path = {"altitude": 80 - 1.4 * np.arange(H)}  # ft, at 7 ft/s
 #
 # A robot on a line, $x_{t+1} = x_t + u_t$ with $Q = R = 1$, has a filter that believes half of each
 # measurement. An error puts the belief off by $b_0 = \frac12 e_0$. Half of that is left one step
-# later: $b_1 = \frac14 e_0 + \frac12 e_1$. Wrong beliefs make wrong commands, which cost (notebook 1)
+# later: $b_1 = \frac14 e_0 + \frac12 e_1$. Wrong beliefs make wrong commands, which cost (notebook
+# 1)
 #
 # $$\underbrace{0.9}_{S_0 K_0^2} b_0^2 + \underbrace{0.5}_{S_1 K_1^2} b_1^2 =
 # 0.256\, e_0^2 + 0.125\, e_0 e_1 + 0.125\, e_1^2 = e^\top \Psi e .$$
