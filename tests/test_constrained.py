@@ -644,6 +644,16 @@ def test_what_switching_and_a_budget_change_in_three_lines():
     assert ms.solve(loaded).choices.tolist() == [0, 0, 0, 0]
 
 
+def test_where_no_budget_binds_the_multiplier_of_a_relaxation_handed_over_is_0():
+    mean = [[[1.0], [0.0]]] * 4
+    problem = SelectionProblem(np.eye(4), mean, np.zeros((4, 2, 1)), [0, 0.5], budget=1.0)
+    point = ms.relax_by_columns(problem)
+    assert point.multiplier == pytest.approx(1)
+    free = replace(problem, budget=None, switch_cost=[[0, 0.1], [0.1, 0]])
+    for solver in (ms.round_and_swap, ms.dynamic_program, ms.branch_and_bound):
+        assert solver(free, relaxation=point).multiplier == 0
+
+
 def test_a_budget_that_nothing_keeps_is_told_what_would_do():
     mean = np.zeros((3, 2, 1))
     with pytest.raises(ValueError, match=r"^budget: .* at least 7\.5, .*found 7"):

@@ -252,6 +252,14 @@ def test_triangle_restates_the_cost_exactly(problem, seed):
         assert abs(rebuilt - problem.total_cost(c)) <= scale + 1e-300
 
 
+def test_models_of_no_use_have_no_deviation_and_no_size():
+    mean = np.tile([[0.1], [50.0]], (3, 1, 1))
+    problem = SelectionProblem(np.eye(3), mean, 0 * mean, [0, np.inf])
+    _, triangle = factored(problem, np.zeros(3))
+    np.testing.assert_array_equal(triangle.deviation, mean * [[1], [0]])
+    np.testing.assert_array_equal(triangle.size, 0.1)
+
+
 @pytest.mark.parametrize(("slack", "share"), [(1e-6, 5e-9), (1e-3, 1e-6), (1e3, 1e-6)])
 def test_the_shift_of_a_factor_is_a_millionth_and_costs_a_hundredth_of_the_slack(slack, share):
     """Errors (1, 1) that cancel: a shift of this share of the diagonal 1 lowers the nodes by 2."""
@@ -734,13 +742,19 @@ def test_enumeration_compares_all_that_rounding_cannot_tell_apart():
     assert found.choices.tolist() == [1, 1] and found.cost == 0.25
 
 
-def test_enumeration_keeps_the_best_of_several_blocks():
+def test_enumeration_keeps_the_best_of_several_blocks_and_tries_each_schedule_once(monkeypatch):
     # 3^10 schedules fill four blocks; the cheapest, found first, must survive the later ones.
     mean = np.tile([[0.0], [1.0], [2.0]], (10, 1, 1))
     problem = SelectionProblem(np.eye(10), mean, 0 * mean, [0.0, 1.0, 2.0])
+    tried, priced = [], SelectionProblem.total_cost
+    noted = lambda self, c: tried.append(np.atleast_2d(c)) or priced(self, c)  # noqa: E731
+    monkeypatch.setattr(SelectionProblem, "total_cost", noted)
     schedule = ms.enumerate_schedules(problem)
     assert schedule.cost == 0
     assert not schedule.choices.any()
+    blocks = [c for c in tried if len(c) > 4]  # the best of the four blocks come after
+    assert len(blocks) == 4 and len(np.unique(np.concatenate(blocks), axis=0)) == 3**10
+    assert sum(map(len, blocks)) == 3**10
 
 
 def test_the_gap_of_a_relaxation_is_zero_where_value_and_bound_meet():
