@@ -71,7 +71,7 @@ plt.show()
 # ## In general
 #
 # A schedule $c$ with mean errors $\mu_c$ costs $\mu_c^\top \Psi \mu_c + \sum_t \ell_{t,c_t}$, where
-# $\ell$ adds variance and price (notebook 2). For every $d$ and $c$,
+# $\ell$ adds variance and price (notebook 2). For every $d$,
 #
 # $$\mathrm{total}(c) = LB(d) + \sum_t r_{t,c_t} + (\mu_c - d)^\top \Psi (\mu_c - d).$$
 #
@@ -86,11 +86,11 @@ def certificate(Psi, mean, linear, d):
 
 
 # %% [markdown]
-# A bad $d$ makes the bound low, never wrong. The best $d$, as above, is the mean error of the
-# cheapest **blend**: weights of models in place of a choice (notebook 4).
+# A bad $d$ makes the bound low, never wrong. The best $d$, like that above, is the mean error of
+# the cheapest **blend**: weights of models in place of a choice (notebook 4).
 #
-# A longer cart has eight steps and four models, priced 0 to 3. The identity holds for all its
-# schedules, at a random $d$ and the blend's:
+# A longer cart has $R = 30$, eight steps and four models, priced 0 to 3. The identity holds for all
+# its schedules, at a random $d$ and the blend's:
 
 
 # %% tags=["hide-input"]
@@ -161,7 +161,7 @@ assert possible.sum() == 150 and possible[np.arange(150), claim.choices].all()
 #
 # **Dominated.** On two steps, step 0 adds a reduced cost and $(v + q)^2/S_0$ to a label; the model
 # there sets $v=P_1\varepsilon_0$. So each label is a parabola over $v$. A bar shows where it is
-# within the room. The dashed label runs a fourth model.
+# within the room. Dashed: a fourth model.
 
 # %% alt="Three equal parabolas over v and a line at the room, 0.467. Bars show where each is below it. That of b0 reaches left beyond that of b1: it lives. That of the dashed one lies inside that of b1: it dies." tags=["hide-input"]
 low, _ = ms.reference_bound(toy, [2 / 45, 4 / 45])
@@ -190,16 +190,16 @@ assert spans["b1"][0] <= dashed[0] and dashed[1] <= spans["b1"][1]
 assert spans["b0"][0] < spans["b1"][0]
 
 # %% [markdown]
-# **If the bar of $j$ lies inside that of $i$, $j$ may die.** At the ends of its bar, $j$ reaches
-# the room and $i$ is not above. Two parabolas of one shape differ by a straight line, so $i$ is not
-# above in between, either. In units of $\sqrt{S_0}$ a bar reaches $\sqrt{\Delta - x}$ to either
-# side of the lowest point. If these points are $\rho$ apart, the rule is
+# **If the bar of $j$ lies inside that of $i$, $j$ may die.** At the ends of its bar $j$ reaches the
+# room. There $i$ is not above, nor in between, as two parabolas of one shape differ by a straight
+# line. In units of $\sqrt{S_0}$ a bar reaches $\sqrt{\Delta - x}$ either side of its lowest
+# point. If these points are $\rho$ apart, the rule is
 #
 # $$\rho + \sqrt{\Delta - x_j} \le \sqrt{\Delta - x_i} .$$
 #
-# With more steps `felt`, $1/S_0$ above, adds up what earlier ones feel of a costate. What they pay
-# besides shortens both bars, the shorter one faster: it stays inside. With more states bars become
-# balls (notebook 0). The whole search, for a cart:
+# With more steps `felt` replaces $1/S_0$: others feel what the step before leaves, too. All else
+# they pay is equal for both labels and shortens both bars, the shorter one more: it stays inside.
+# With more states bars become balls (notebook 0). The whole search, for a cart:
 
 
 # %%
@@ -240,9 +240,9 @@ np.testing.assert_allclose(bound + extra, costs.min())
 #
 # ## Whose word is a bound?
 #
-# `check_certificate` derives cost and $LB(d)$ anew. It cannot repeat a search, so it accepts any
+# `check_certificate` derives cost and $LB(d)$ anew. Unable to repeat a search, it accepts any
 # `lower_bound` between them. `Schedule.proof` says whose word it is: `"root"`, which you can check,
-# or `"search"`. A lie that passes, though only 10.03 is vouched for:
+# or `"search"`. A lie of `quick`, found above, passes; only 10.03 is vouched for:
 
 # %%
 lie = replace(quick, lower_bound=quick.cost)  # not the optimum
