@@ -12,8 +12,8 @@
 # `eq:perModelExp`, `eq:perModelVar`, `eq:jp`, `eq:jtot`, `thm:equivalence`,
 # `opt:model_selection`.
 #
-# Errors $e$ cost a controller $e^\top \Psi e$ (notebook 1). They are random. A model card prints
-# one number for them, a mean square. What does the controller feel?
+# Random errors $e$ cost a controller $e^\top \Psi e$ (notebook 1). A model card prints one number
+# for them, a mean square. What does the controller feel?
 
 # %% tags=["hide-input"]
 from dataclasses import replace
@@ -64,7 +64,7 @@ plt.show()
 #
 # A schedule $c$ runs model $c_t$ at step $t$. It chooses a mean $\mu_{t,c_t}$ (`eq:perModelExp`;
 # stacked, $\mu_c$), a variance $\Sigma_{t,c_t}$ (`eq:perModelVar`) and a price $\kappa_{c_t}$ for
-# each step. With weights $\alpha$ and $\beta$ (1 unless said), the total to minimise (`eq:jp`,
+# each step. With weights $\alpha, \beta$ (1 unless said), the total to minimise (`eq:jp`,
 # `eq:jtot`) is
 #
 # $$\mathrm{total}(c) = \alpha \Big(\mu_c^\top \Psi \mu_c + \sum_t \mathrm{tr}(\Psi_{tt}
@@ -142,8 +142,9 @@ np.testing.assert_allclose(row.sum() / row[40], 5**0.5, rtol=1e-6)
 # - **Plan once, only the end charged**: every thrust is off by $d = \mathbf 1^\top e / (H+1)$, the
 #   end by $Hd$: in all $Hd^2 + (Hd)^2 = \frac{H}{H+1} (\mathbf 1^\top e)^2$, the factor is $H$.
 # - **Preview, position charged**: it braces a few steps ahead. $\Psi_{tk}$ decays like
-#   $a^{|t-k|}$ with the closed loop $a = (3 - \sqrt 5)/2$, the factor tends to
-#   $(1 + a)/(1 - a) = \sqrt 5$. (With only the end charged it braces from the start: no bound.)
+#   $a^{|t-k|}$ with the closed loop $a = (3 - \sqrt 5)/2$ (undisturbed, $x_{t-1} + x_{t+1} =
+#   3x_t$), the factor tends to $(1 + a)/(1 - a) = \sqrt 5$. (With only the end charged it braces
+#   from the start: no bound.)
 # - **Causal**: $\Psi$ is diagonal, errors never meet. The mean square says it all.
 #
 # So measure bias and variance separately (notebook 7).
@@ -151,10 +152,10 @@ np.testing.assert_allclose(row.sum() / row[40], 5**0.5, rtol=1e-6)
 # ## Step by step: right or wrong?
 #
 # Each $\Sigma_t$ stands beside its own $\Psi_{tt}$: **noise drawn anew never couples steps**. Means
-# do: switching models at both $t$ and $k$ costs $2\alpha\, \delta_t^\top \Psi_{tk} \delta_k$ beyond
-# the two alone, $\delta$ the difference of the means. If all means are 0, or $\Psi$ is block
-# diagonal, the model that is cheapest at each step alone is the optimum. Else this *greedy* choice
-# can be wrong. Under `open_loop`, the default, with `H = 12`: a bias of 0.7 (model 0) or noise of
+# do: switching models at $t$ and $k$ costs $2\alpha\, \delta_t^\top \Psi_{tk} \delta_k$ beyond the
+# two alone, $\delta$ the difference of the means. If all means are 0, or $\Psi$ is block diagonal,
+# the model that is cheapest at each step alone is the optimum. Else this *greedy* choice can fail.
+# Under `open_loop`, the default, position charged, `H = 12`: a bias of 0.7 (model 0) or noise of
 # variance 1; then biases of -0.5 and 0.6, or an exact model (2) that costs 1 a step.
 
 # %% tags=["hide-input"]
@@ -177,7 +178,7 @@ assert test.total_cost(greedy) > test.total_cost([2] * H) > 20 * best.cost
 # ## Errors that persist
 #
 # Consecutive pictures look alike. Let noise of variance 1 have correlation $\rho^{|t-k|}$; step 3
-# still holds, $E[e^\top \Psi e] = \sum_{t,k} \Psi_{tk} \rho^{|t-k|}$. For a $\rho$ of -0.6, 0, 0.6
+# still holds, $E[e^\top \Psi e] = \sum_{t,k} \Psi_{tk} \rho^{|t-k|}$. For $\rho$ of -0.6, 0, 0.6
 # and 1:
 
 # %% tags=["hide-input"]
@@ -195,8 +196,8 @@ for information in ("open_loop", "preview", "causal"):
 # At $\rho = 1$ the noise is a bias that was drawn once, of size $\tau$ and a **sign that you do not
 # know**. It is tempting to enter it as a mean, $+\tau$ for one model, $-\tau$ for another. Right
 # for a single model: a square has no sign. For two it is not. Take two steps, all entries of $\Psi$
-# equal to 1, both $\tau = 1$: either model alone costs 4; in turn they cost 0 on paper. But
-# independent signs agree half of the time: truly it is 2, the average of 0 and 4.
+# equal to 1, both $\tau = 1$: either model alone costs 4; in turn 0 on paper. But independent
+# signs agree half of the time: truly it is 2, the average of 0 and 4.
 #
 # Still less than 4. With $\mathbf 1_w$ marking the steps that run model $w$, the cost is $\sum_w
 # \tau_w^2\, \mathbf 1_w^\top \Psi \mathbf 1_w$: where errors meet, it can pay to mix models, a
