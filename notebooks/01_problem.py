@@ -18,7 +18,7 @@
 #
 # It never sees $s_t$, $p$ numbers: wind, waves, a slope. A perception model tells it $\hat s = s +
 # e$. Larger models err less and cost more. **The question**: which model should run at which step?
-# This notebook finds what errors cost.
+# First: what errors cost.
 
 # %% tags=["hide-input"]
 from dataclasses import replace
@@ -61,7 +61,7 @@ axes.text(5.6, 1.7, "set by the schedule")
 arrow((5.7, 2.5), "controller", "$\\hat s = s + e$", (6.4, 2.75))
 arrow("controller", "robot", "$u$", (9.7, 2.7))
 arrow("robot", "controller", "$x$: feedback, if any", (9.6, 3.9), "bar,fraction=0.35", "--")
-arrow("world", "robot", "$s$", (5, 0.7), "bar,fraction=0.2")
+arrow("world", "robot", "$s$", (8, 0.55), "bar,fraction=0.2")
 plt.show()
 
 # %% [markdown]
@@ -105,16 +105,16 @@ for information in ("preview", "open_loop"):
 # %% [markdown]
 # In the plan the two errors undo each other. `preview` sees the true $x_1$, and the second stands
 # alone. So the price depends on **what the controller knows, and when**. We write it $e^\top \Psi
-# e$, with all errors in one column $e$.
+# e$, with all errors in one column.
 #
 # ## Any robot: three answers
 #
-# LQR finds the same for any robot. The best command is, up to its sign, a gain $K_t$ times the
-# state, plus gains $F_{tk}$ times the inputs of this step and of later ones. One that is off by $v$
-# costs $v^\top S_t v$ more. (Above, $F_{01} = \frac13$ and $S_0 = \frac32$.)
+# LQR finds the same for any robot. The best command is minus a gain $K_t$ times the state, minus
+# gains $F_{tk}$ times the inputs of this step and of later ones. One that is off by $v$ costs
+# $v^\top S_t v$ more, in any state. (Above, $F_{01} = \frac13$ and $S_0 = \frac32$.)
 #
 # A controller puts its *beliefs* in the place of state and inputs. So its command is off by the
-# same gains times its errors, and all steps together pay $e^\top \Psi e$:
+# same gains times its errors, and prices add:
 #
 # $$v_t = \underbrace{K_t m_t}_{\text{memory}} + \underbrace{F_{tt} e_t}_{\text{now}} +
 # \underbrace{F_{t,t+1} e_{t+1} + \dots}_{\text{foresight}}, \qquad
@@ -128,11 +128,11 @@ for information in ("preview", "open_loop"):
 # | `measurement`: a drone reads its altitude off pictures | $C e_t$: it misreads | no | no |
 # | `filter`: most robots (notebook 7) | what an observer remembers | no | no |
 #
-# In the last two rows the models measure the state, and $s$ pushes unseen.
+# In the last two rows $e$ is in a reading of the state, and $s$ pushes unseen.
 #
 # In code each quantity is a matrix that multiplies $e$. `push` and `q` are what this input and
 # later ones add to half the slope of the cost to come, at $x_{t+1}$. `B.T` takes it to the command,
-# `closed_loop.T` to $x_t$:
+# `closed_loop.T` to $x_t$, as commands answer:
 
 # %%
 TABLE = {  # memory, now, foresight
@@ -170,8 +170,7 @@ for information in TABLE:
     np.testing.assert_allclose(Psi, ms.psi(two, information))
 
 # %% [markdown]
-# The paper's policy is `preview`, its $\Psi$ that of `open_loop`. Take that of the controller that
-# runs.
+# The paper's policy is `preview`, its $\Psi$ that of `open_loop`. Take the running controller's.
 #
 # **With a forecast refreshed at every step** (MPC) step $t$ pays as under `preview`, for the errors
 # of the forecast made at $t$. No later step uses it, so steps decouple.
@@ -283,12 +282,12 @@ assert prices["alternating"] < prices["noisy"] < prices["biased"]
 # %% [markdown]
 # ## Which model at which step?
 #
-# For the boat a small model errs by 0.4 at every step and is free, a medium one errs by 0.15 and
-# costs 0.1 a step, a large one is right and costs 0.3. The cheapest schedules, their totals
-# (errors and models), and the best single model's (small):
+# At every step of the boat a small model errs by 0.4 and is free, a medium one by 0.15 and costs
+# 0.1, a large one is right and costs 0.3. The cheapest schedules, their totals (errors and models),
+# and the best single model's (small):
 
 # %%
-errors = np.tile([[0.4], [0.15], [0.0]], (H, 1, 1))  # (H, W, p): small, medium, large
+errors = np.tile([[0.4], [0.15], [0.0]], (H, 1, 1))  # (H, 3, p): small, medium, large
 for name in ("open_loop", "preview", "causal"):
     problem = ms.SelectionProblem(
         ms.psi(boat, name), mean=errors, variance=0 * errors, model_cost=[0, 0.1, 0.3]
@@ -298,7 +297,8 @@ for name in ("open_loop", "preview", "causal"):
     assert best.is_optimal
 
 # %% [markdown]
-# One error alone is dearest under `open_loop`, 0.4 at every step under `preview`: little is blue.
+# One error alone is dearest under `open_loop`. There seven better estimates let red and blue
+# nearly cancel; under `preview` the blue is too pale.
 #
 # **In one paragraph.** Wrong beliefs about the state (memory), this input (now) and later ones
 # (foresight) put commands off. $e^\top \Psi e$ is what all commands pay. By memory and foresight
