@@ -286,7 +286,7 @@ assert prices["alternating"] < prices["noisy"] < prices["biased"]
 # 0.1, a large one is right and costs 0.3. The cheapest schedules, their totals (errors and models),
 # and the best single model's (small):
 
-# %%
+# %% tags=["hide-input"]
 errors = np.tile([[0.4], [0.15], [0.0]], (H, 1, 1))  # (H, 3, p): small, medium, large
 for name in ("open_loop", "preview", "causal"):
     problem = ms.SelectionProblem(

@@ -86,9 +86,10 @@ assert np.diff(toy.total_cost([[0, 0], [0, 1]])) < 0 < np.diff(toll.total_cost([
 #
 # **Yours**: a row for every look of every model, its residual (reported less truth) empty where it
 # gave nothing; else a detector that fails where it is hard would seem perfect. Ours: 1,600 views
-# of a pad, in feet (`data/tags.py`).
+# of a pad, in feet (`data/tags.py`); `pc.read_residuals` reads it. Every second view is kept for
+# the rehearsal:
 
-# %%
+# %% tags=["hide-input"]
 with open("data/tags.csv") as file:
     print(*(next(file) for _ in range(3)), sep="", end="")
 table = pc.read_residuals("data/tags.csv")
@@ -98,6 +99,8 @@ kept = "model", "altitude", "residual"
 fitted, other = (
     replace(table, **{k: getattr(table, k)[view % 2 == odd] for k in kept}) for odd in (0, 1)
 )
+
+# %%
 kernel = pc.Kernel(0.3, log=["altitude"], relative="altitude")
 
 
@@ -117,8 +120,7 @@ for w, name in enumerate(suite.names):
 # %% [markdown]
 # Bias ± spread at 80 and 45 ft, barometer included, and the share of looks at 80 ft that gave
 # nothing. The two slow ones read too low, the others too high. The `Kernel` weighs views by
-# nearness (30% in altitude), and lets errors grow with altitude. Every second view is kept for the
-# rehearsal.
+# nearness (30% in altitude), and lets errors grow with altitude.
 #
 # ## The robot
 #
@@ -205,6 +207,8 @@ plt.show()
 # %%
 received = ms.Schedule.from_json(message := plan.to_json())
 print(message[:70], f"...; root bound {ms.check_certificate(problem, received):.3f}")
+
+# %% tags=["hide-input"]
 try:
     ms.check_certificate(problem, replace(received, choices=np.full(H, 4)))
     raise AssertionError("a forged schedule passed")
