@@ -43,9 +43,9 @@ path = {"altitude": 80 - 1.4 * np.arange(H)}  # ft, at 7 ft/s
 # ## Two steps
 #
 # A robot on a line, $x_{t+1} = x_t + u_t$ with $Q = R = 1$, has a filter that believes half of each
-# measurement. An error puts the belief off by $b_0 = \frac12 e_0$. Half of that is left one step
-# later: $b_1 = \frac14 e_0 + \frac12 e_1$. Wrong beliefs make wrong commands, which cost (notebook
-# 1)
+# measurement. An error puts the belief off by $b_0 = \frac12 e_0$. Half is left a step later:
+# $b_1 = \frac14 e_0 + \frac12 e_1$. The LQR command is off by $K_t b_t$, whose square costs $S_t$
+# (notebook 1)
 #
 # $$\underbrace{0.9}_{S_0 K_0^2} b_0^2 + \underbrace{0.5}_{S_1 K_1^2} b_1^2 =
 # 0.256\, e_0^2 + 0.125\, e_0 e_1 + 0.125\, e_1^2 = e^\top \Psi e .$$
@@ -124,13 +124,13 @@ for w, name in enumerate(suite.names):
 #
 # ## The robot
 #
-# **Yours**: $A$, $B$, here of height and speed; $C$ (detectors measure $C^+ x$, the height);
+# **Yours**: $A, B$, of height and speed; $C$ (detectors measure $C^+ x$, the height);
 # deviations allowed (a weight is one over its square, so one step at the allowance costs 1); the
 # gusts (0.5 ft/s²) and errors (1 ft) that you expect, from which gains follow.
 
 # %%
 A, B = np.array([[1, dt], [0, 1]]), np.array([[dt**2 / 2], [dt]])  # u in ft/s^2, held over a step
-task = ms.ControlTask(A, B, [[1], [0]], np.diag([1 / 1**2, 1 / 2**2]), [[1 / 3**2]], H)
+task = ms.ControlTask(A, B, [[1], [0]], np.diag([1 / 1**2, 1 / 2**2]), [[1 / 3**2]], H)  # C, Q, R
 gains = ms.kalman_gains(task, 0.5**2 * B @ B.T, [[1.0]])
 Psi = ms.psi(task, "filter", gains=gains)
 print("gains", *gains[0].ravel().round(2), " echo:", *(Psi[25, 25:36:2] / Psi[25, 25]).round(2))
@@ -142,8 +142,8 @@ print("gains", *gains[0].ravel().round(2), " echo:", *(Psi[25, 25:36:2] / Psi[25
 # ## The schedule
 #
 # It minimizes the expected $e^\top \Psi e$ (control cost) plus $\beta$ times the time. **Yours**:
-# $\beta$ (we would pay 1,000 ms for one step at the allowance of 1 ft), what loading a detector
-# takes (5 ms), the budget (1,200 ms).
+# what one step at the allowance of 1 ft is worth (1,000 ms), what loading a detector takes (5 ms),
+# the budget (1,200 ms).
 
 # %%
 free = ms.SelectionProblem.from_suite(Psi, suite, beta=1 / 1000)
@@ -213,7 +213,7 @@ try:
     ms.check_certificate(problem, replace(received, choices=np.full(H, 4)))
     raise AssertionError("a forged schedule passed")
 except ValueError as error:
-    print("refused:", str(error)[:29])
+    print("number 4 throughout, sent as the plan: refused,", str(error)[:29])
 
 # %% [markdown]
 # ## The rehearsal
@@ -239,13 +239,13 @@ def fly(errors, c):
 
 unseen = draw(other, 1000, np.random.default_rng(0))
 again = ms.SelectionProblem.from_suite(Psi, suite_of(other)[0], beta=1 / 1000)
-print("control cost:   promised  by the other views   flown ± 95%    total")
+print("control cost:   promised  by the other views   flown ± 95%    flown, with time")
 for name, c in schedules.items():
     promised, other_half = free.control_term(c), again.control_term(c)
     flown, total = fly(unseen, c)
     mean, half = flown.mean(), 1.96 * flown.std() / 1000**0.5
     row = promised, other_half, mean, half, total.mean()
-    print(f"{name:15}", "{:8.2f} {:18.2f} {:12.2f} ± {:.2f} {:8.2f}".format(*row))
+    print(f"{name:15}", "{:8.2f} {:18.2f} {:12.2f} ± {:.2f} {:12.2f}".format(*row))
     assert abs(mean - other_half) < 2 * half and abs(mean / promised - 1) < 0.2
 for c in (schedules["greedy"], *constant):
     saved = fly(unseen, c)[1] - fly(unseen, schedules["optimum"])[1]
@@ -293,7 +293,7 @@ np.testing.assert_allclose(paid["no news"], plan.cost)
 assert paid["no pull"] > 1.1 * plan.cost
 lasting = ms.autoregressive_errors(problem.variance, 0.6)
 alike = ms.correlated_cost(problem, plan.choices, lasting)
-print(f"the plan costs {alike:.3f} if noise lasts")
+print(f"if noise lasts (next section), the plan costs {alike:.3f}")
 assert 1.9 < alike / plan.cost < 1.95
 
 # %% [markdown]
