@@ -1319,6 +1319,11 @@ def by(error, *places):
 AXES = {"H", "W", "p", "n", "m", "pH", "N", "V", "side", "trials", "edges", "or"}
 
 
+#: What is said of each array that has an axis too many, word by word.
+LINES = Path(__file__).with_name("shapes.txt").read_text(encoding="utf-8").splitlines()
+SHAPES = {(row, name): message for row, name, message in (line.split(" | ") for line in LINES)}
+
+
 def check_line(error, opening):
     """A single, short line that opens with one of these, raised by our modules."""
     message = str(error)
@@ -1339,6 +1344,8 @@ def test_a_spoiled_argument_is_refused_in_a_line_that_names_it(row, name, way):
     else:
         names = (name, *arg.blames.split(), *[" ".join(str(bad).split())] * (arg.kind == "path"))
         check_line(caught.value, tuple(f"{word}{end}" for word in names for end in ":."))
+    if way == "rank-more":
+        assert str(caught.value) == SHAPES[row, name]
 
 
 @pytest.mark.no_cover
