@@ -84,8 +84,8 @@ plt.show()
 # $$\text{preview: } \tfrac16 (e_0 + e_1)^2 + \tfrac12 e_1^2, \qquad
 # \text{open\_loop: } \tfrac23 (e_0 + e_1)^2 .$$
 #
-# **Predict** what $(1, -1)$ costs each. We fly both, and print the **regret**: the cost fed $s + e$
-# less the cost of the *same controller* fed $s$.
+# **Predict** what $(1, -1)$ costs each. Below: the **regret**, the cost fed $s + e$ less the cost of
+# the *same controller* fed $s$.
 
 
 # %% tags=["hide-input"]
@@ -130,9 +130,9 @@ for information in ("preview", "open_loop"):
 #
 # In the last two rows $e$ is in a reading of the state, and $s$ pushes unseen.
 #
-# In code each quantity is a matrix that multiplies $e$. `push` and `q` are what this input and
-# later ones add to half the slope of the cost to come, at $x_{t+1}$. `B.T` takes it to the command,
-# `closed_loop.T` to $x_t$, as commands answer:
+# In code each quantity is a matrix that multiplies $e$. Half the slope of the cost to come, at
+# $x_{t+1}$, is $P_{t+1}(Ax_t+Bu_t)$ plus `push` of this input and `q` of later ones. `B.T` takes it
+# to the command, `closed_loop.T` to $x_t$, as commands answer:
 
 # %%
 TABLE = {  # memory, now, foresight
@@ -166,7 +166,7 @@ def psi_by_step(task, information):
 two = ms.ControlTask([[1]], [[1]], [[1]], [[0]], [[1]], horizon=2, Q_final=[[1]])
 for information in TABLE:
     Psi = psi_by_step(two, information).sum(axis=0)
-    print(f"{information:12} 6 Psi = {(6 * Psi).round(6).tolist()}")
+    print(f"two steps, {information:12} 6 Psi = {(6 * Psi).round(6).tolist()}")
     np.testing.assert_allclose(Psi, ms.psi(two, information))
 
 # %% [markdown]
@@ -204,8 +204,8 @@ for information in TABLE:
     np.testing.assert_allclose(found.mean(), price)
 
 # %% [markdown]
-# With a forecast the price is exact in every sea. Without one even right beliefs miss later waves,
-# and an error may help. Where $s$ has mean 0 and is independent of $e$, this averages out:
+# With a forecast the price is exact in every sea. Without one even right beliefs miss waves, and an
+# error may help. Where $s$ has mean 0 and is independent of $e$, this averages out:
 # $e^\top \Psi e$ is exact **in expectation**.
 #
 # ## Reading $\Psi$
@@ -249,10 +249,10 @@ def scalar(A=1.0, Q_final=1.0):
 
 
 for name in ("measurement", "preview"):
-    print(f"A = 2, step 10: {name} {ms.psi(scalar(2.0), name)[10, 10]:.1f}")
+    print(f"A = 2, an error at step 10 costs {name} {ms.psi(scalar(2.0), name)[10, 10]:.1f}")
 for Q_final in (1, 100):
     first, *_, last = ms.psi(scalar(Q_final=Q_final), "causal").diagonal()
-    print(f"causal, Q_f = {Q_final}: first step {first:.2f}, last step {last:.2f}")
+    print(f"Q_f = {Q_final}: it costs causal {first:.2f} at the first step, {last:.2f} at the last")
 
 # %% [markdown]
 # ## Three models of equal mean square
@@ -282,7 +282,7 @@ assert prices["alternating"] < prices["noisy"] < prices["biased"]
 # %% [markdown]
 # ## Which model at which step?
 #
-# At every step of the boat a small model errs by 0.4 and is free, a medium one by 0.15 and costs
+# At every step of the boat a small model errs by +0.4 and is free, a medium one by +0.15 and costs
 # 0.1, a large one is right and costs 0.3. The cheapest schedules, their totals (errors and models),
 # and the best single model's (small):
 
@@ -297,8 +297,8 @@ for name in ("open_loop", "preview", "causal"):
     assert best.is_optimal
 
 # %% [markdown]
-# One error alone is dearest under `open_loop`. There seven better estimates let red and blue
-# nearly cancel; under `preview` the blue is too pale.
+# One error alone is dearest under `open_loop`, 40 alike are not: there seven better estimates let red
+# and blue nearly cancel; under `preview` the blue is too pale.
 #
 # **In one paragraph.** Wrong beliefs about the state (memory), this input (now) and later ones
 # (foresight) put commands off. $e^\top \Psi e$ is what all commands pay. By memory and foresight
