@@ -231,6 +231,23 @@ def test_a_dearer_label_goes_if_a_move_to_its_model_costs_no_more(toll, limited,
     assert found.choices.tolist() == [0, 0, 0] and found.least == 0
 
 
+@pytest.mark.parametrize("states", [1, 2])
+def test_the_budget_of_a_pass_solves_the_equation_of_what_it_gives_away(states):
+    """Three steps drop 0.2 each: x = 0.6.  Where moves cost something, all grids come twice."""
+    none = np.zeros((0, 0))
+    moves, nothing = np.zeros((3, states, 2)), np.zeros((3, 2, 1))
+    triangle = triangles.Triangle(0.0, moves, nothing, none, np.zeros(3), 0.3, 0.0)
+    steps = [triangles.Coordinates(none, none, none, none, reach=0.0, lost=0.2)] * 3
+    purse = triangles.Purse(2.0, moves, np.zeros((3, 2)), 1.0, 1.0, grain=0.01)
+    found = label_search.losses(triangle, steps, purse, excess=5.0, slack=0.8)
+    tests = states * len(dominance.GRIDS)
+    rest = 0.8 / 4 + 0.3 + 2.0 * found.grains
+    assert found.grains == pytest.approx(3 * (tests + 1) * 0.01)
+    assert found.budget == pytest.approx(5 + rest + 2 * 0.6 * found.budget**0.5 + 0.36, rel=1e-12)
+    assert found.total == pytest.approx(found.budget - 5)
+    assert 3 * tests * found.merge == pytest.approx(0.8 / 4)
+
+
 @pytest.mark.parametrize("few", [0, 96])
 @pytest.mark.parametrize(("detour", "kept"), [(0.0, [0]), (0.1, [0]), (0.3, [0, 1])])
 def test_among_many_labels_too_the_cheapest_stands_for_those_of_the_other_model(

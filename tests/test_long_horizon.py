@@ -283,6 +283,14 @@ def test_states_are_bounded_where_nothing_is_forgotten():
     assert (reach >= np.arange(H, 0, -1) * (1 - 1e-12)).all()
 
 
+@pytest.mark.parametrize(("q", "n", "p"), [(40, 1, 1), (1, 40, 1), (1, 1, 40), (9, 9, 9)])
+def test_the_unit_of_a_system_covers_sums_of_all_its_terms(q, n, p):
+    """A row sums n + p products: it is off by n + p units of each (Higham 2002, section 3.1)."""
+    parts = np.ones((q, p)), np.zeros((q, n)), np.eye(n), np.ones((n, p))
+    system = Sensitivity(*(np.tile(part, (3, 1, 1)) for part in parts), False)
+    assert sensitivity_part._unit(system) >= (n + p) * sensitivity_part.WIDE_EPS
+
+
 def rows_exactly(parts, steps, c):
     """What each step adds to the excess of a schedule, in fractions of the very floats."""
     number = np.vectorize(Fraction, otypes=[object])

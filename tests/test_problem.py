@@ -610,6 +610,17 @@ def test_the_gap_is_relative_to_the_larger_of_cost_and_bound(cost, lower_bound, 
     assert schedule.is_optimal == (gap < 1e-9)
 
 
+def test_a_schedule_has_one_axis_and_so_has_its_reference():
+    given_ = {"choices": np.zeros(2, int), "reference": np.zeros(4)}
+    for name, axis in {"choices": "H", "reference": "pH"}.items():
+        now = given_ | {name: given_[name][:, None]}
+        message = (
+            rf"^{name}: expected shape \({axis},\) = \({axis},\), found \({len(now[name])}, 1\)$"
+        )
+        with pytest.raises(ValueError, match=message):
+            Schedule(now["choices"], 1.0, 1.0, 1.0, now["reference"], "by hand")
+
+
 @pytest.mark.parametrize("gap, optimal", [(0.9e-9, True), (1.1e-9, False)])
 def test_a_schedule_is_optimal_up_to_a_relative_gap_of_1e_9(gap, optimal):
     schedule = Schedule(np.array([0]), 1e16, 1e16 * (1 - gap), 0.0, np.zeros(1), "by hand")
