@@ -248,6 +248,15 @@ def test_the_budget_of_a_pass_solves_the_equation_of_what_it_gives_away(states):
     assert 3 * tests * found.merge == pytest.approx(0.8 / 4)
 
 
+def test_directions_of_the_strength_that_is_negligible_give_away_three_quarters_of_the_slack():
+    """Losses' x is at most H strength sqrt(pH), and takes 2 x sqrt(excess + slack)."""
+    nothing, none = np.zeros((5, 2, 3)), np.zeros((0, 0))
+    triangle = triangles.Triangle(0.0, nothing[:, None], nothing, none, np.zeros(15), 0.0, 0.0)
+    strength = label_search.negligible_strength(triangle, excess=7.0, slack=2.0)
+    assert 2 * (5 * strength * 15**0.5) * 3 == pytest.approx(0.75 * 2)
+    assert label_search.negligible_strength(triangle, 0.0, 0.0) == 0
+
+
 @pytest.mark.parametrize("few", [0, 96])
 @pytest.mark.parametrize(("detour", "kept"), [(0.0, [0]), (0.1, [0]), (0.3, [0, 1])])
 def test_among_many_labels_too_the_cheapest_stands_for_those_of_the_other_model(
