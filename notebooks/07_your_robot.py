@@ -44,11 +44,8 @@ path = {"altitude": 80 - 1.4 * np.arange(H)}  # ft, at 7 ft/s
 #
 # A robot on a line, $x_{t+1} = x_t + u_t$ with $Q = R = 1$, has a filter that believes half of each
 # measurement. An error puts the belief off by $b_0 = \frac12 e_0$. Half is left a step later:
-# $b_1 = \frac14 e_0 + \frac12 e_1$. The LQR command is off by $K_t b_t$, whose square costs $S_t$
-# (notebook 1)
-#
-# $$\underbrace{0.9}_{S_0 K_0^2} b_0^2 + \underbrace{0.5}_{S_1 K_1^2} b_1^2 =
-# 0.256\, e_0^2 + 0.125\, e_0 e_1 + 0.125\, e_1^2 = e^\top \Psi e .$$
+# $b_1 = \frac14 e_0 + \frac12 e_1$. Wrong beliefs make wrong commands; these cost (notebook 1)
+# $e^\top \Psi e = 0.256\, e_0^2 + 0.125\, e_0 e_1 + 0.125\, e_1^2$.
 #
 # Two free detectors err by $+1$ and $-1$. One throughout costs 0.506, both in turn 0.256: opposite
 # biases average out. If a switch costs 0.3, staying wins.
@@ -313,10 +310,9 @@ assert 1.9 < alike / plan.cost < 1.95
 # Pictures 0.2 s apart look alike. If each detector's noise is AR(1), correlation 0.6 per step, the
 # plan costs 12.783, not 6.619. Costs are expectations: keep your safety monitor.
 #
-# **In one paragraph.** You bring a file of residuals, five matrices with gains, prices. What your
-# controller knows picks $\Psi$. A filter's couples steps, here so that opposite biases should take
-# turns; who judges step by step pays almost a third more. Switching costs and a budget keep the
-# certificate. The robot checks cost and root bound; it plans anew with the pull. Rehearse on views
+# **In one paragraph.** You bring a file of residuals, matrices with gains, prices. What your
+# controller knows picks $\Psi$. A filter's couples steps; who judges step by step pays almost a
+# third more. The robot checks cost and root bound, and plans anew with the pull. Rehearse on views
 # that no fit has seen.
 #
 # ## Recall
