@@ -231,6 +231,28 @@ def test_a_dearer_label_goes_if_a_move_to_its_model_costs_no_more(toll, limited,
     assert found.choices.tolist() == [0, 0, 0] and found.least == 0
 
 
+@pytest.mark.parametrize("toll", [0.0, 0.5])
+def test_a_purse_knows_what_moves_spend_and_the_least_that_was_spent_before(toll):
+    price, mean = np.array([[1.0, 2], [0, -1], [5, 3], [9, np.inf]]), np.zeros((4, 2, 1))
+    switch = toll * (1 - np.eye(2)) if toll else None
+    problem = SelectionProblem(np.eye(4), mean, mean, price, switch_cost=switch, budget=20.0)
+    purse = triangles.purse(problem.form, 3.0)
+    assert (purse.multiplier, purse.limit) == (3.0, problem._limit)
+    assert purse.size == pytest.approx(problem._limit + 2)  # a refund of 1 is of size 2
+    assert purse.grain == pytest.approx(4 * np.finfo(float).eps * purse.size)
+    for t, w in np.ndindex(4, 2):
+        if np.isfinite(price[t, w]):
+            ways = [(*way, w) for way in itertools.product((0, 1), repeat=t)]
+            spent = [
+                sum(price[k, c] for k, c in enumerate(way[:-1]))
+                + toll * sum(a != b for a, b in itertools.pairwise(way))
+                for way in ways
+            ]
+            assert purse.ahead[t, w] == pytest.approx(min(spent), abs=1e-12)
+        for v in range(2) if toll else ():  # the state: the model of the step after
+            assert purse.spend[t, v, w] == price[t, w] + toll * (v != w and t < 3)
+
+
 @pytest.mark.parametrize("states", [1, 2])
 def test_the_budget_of_a_pass_solves_the_equation_of_what_it_gives_away(states):
     """Three steps drop 0.2 each: x = 0.6.  Where moves cost something, all grids come twice."""
