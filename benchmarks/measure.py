@@ -13,6 +13,7 @@ from typing import Any
 
 RESULTS = Path(__file__).parent / "results"
 ONE_THREAD = dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+USAGE = 2  # the exit code of argparse, and of Python without its script
 PACKAGES = ("numpy", "scipy", "matplotlib", "pyscipopt", "gurobipy")
 
 
@@ -20,7 +21,8 @@ def run_alone(script: str, request: dict[str, Any], timeout: float) -> dict[str,
     """Run a script of this folder on a JSON request; return the JSON it prints last.
 
     If there is none, the answer is {"status": why}: a solver that refuses, crashes or hangs is a
-    row of the table.  One that crashes as it leaves, its answer printed, has answered.
+    row of the table.  One that crashes as it leaves, its answer printed, has answered.  A script
+    that is not there, or takes other arguments, is no row but our mistake: RuntimeError.
     """
     command = [sys.executable, str(Path(__file__).parent / script), json.dumps(request)]
     try:
@@ -29,6 +31,8 @@ def run_alone(script: str, request: dict[str, Any], timeout: float) -> dict[str,
         )
     except subprocess.TimeoutExpired:
         return {"status": f"killed after {timeout:.0f} s"}
+    if done.returncode == USAGE:
+        raise RuntimeError(done.stderr)
     last = (done.stdout.splitlines() or [""])[-1]
     if not last.startswith("{"):
         return {"status": (done.stderr.strip().splitlines() or [f"exit {done.returncode}"])[-1]}

@@ -79,7 +79,7 @@ def run(points: list[Row]) -> list[Row]:
     rows = []
     for point in tqdm(points, disable=None):
         timeout = point["repeat"] * (3 * point["limit"] + 60)
-        rows.append(point | {"proved": False} | run_alone("stages.py", point, timeout))
+        rows.append(point | {"proved": False} | run_alone("point.py", point, timeout))
     return rows
 
 

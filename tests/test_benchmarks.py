@@ -1,6 +1,7 @@
 """The solvers that ours are compared with solve the same problem, switches and budgets included."""
 
 import importlib
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -56,6 +57,22 @@ def test_the_constrained_benchmark_runs_in_small(tmp_path):
     subprocess.run([*command, "--output", tmp_path], check=True, capture_output=True)
     written = (tmp_path / "constrained.md").read_text(encoding="utf-8")
     assert "| both | preview/step |" in written
+
+
+@pytest.mark.unmutated
+def test_the_benchmark_of_growth_proves_every_point_in_small(tmp_path):
+    command = [sys.executable, FOLDER / "scaling.py", "--quick", "--output", tmp_path]
+    subprocess.run(command, check=True, capture_output=True)
+    written = (tmp_path / "scaling.md").read_text(encoding="utf-8")
+    [(proved, points)] = re.findall(r"\| every point proved \| (\d+) of (\d+) \| yes \|", written)
+    assert proved == points and int(points) > 5
+    assert (tmp_path / "scaling.png").exists() and (tmp_path / "long.png").exists()
+
+
+@pytest.mark.parametrize("script", ["missing.py", "scaling.py"])
+def test_a_script_that_takes_no_such_request_is_a_mistake_and_no_row(load, script):
+    with pytest.raises(RuntimeError, match=r"No such file|unrecognized arguments"):
+        load("measure").run_alone(script, {"H": 1}, 60)
 
 
 @pytest.mark.unmutated
