@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 import modelselect as ms
 from modelselect import SelectionProblem
-from modelselect_parts import dominance, label_search, local_search, passes, trellis
+from modelselect_parts import dominance, label_search, local_search, passes, relaxations, trellis
 from modelselect_parts import triangle as triangles
 
 SEEDS = st.integers(0, 2**32 - 1)
@@ -277,6 +277,19 @@ def test_directions_of_the_strength_that_is_negligible_give_away_three_quarters_
     strength = label_search.negligible_strength(triangle, excess=7.0, slack=2.0)
     assert 2 * (5 * strength * 15**0.5) * 3 == pytest.approx(0.75 * 2)
     assert label_search.negligible_strength(triangle, 0.0, 0.0) == 0
+
+
+def test_pairs_that_a_quick_look_lets_through_are_looked_at_whole():
+    """The coordinates left out are wide here, and decide for some of the pairs."""
+    rng = np.random.default_rng(0)
+    y, paid, room = rng.normal(size=(4, 60)), rng.exponential(1, 60), rng.exponential(0.2, 60)
+    far = ((y[2:].max(axis=1) - y[2:].min(axis=1)) ** 2).sum()
+    pairs = dominance.Pairs(paid, room, y, y[:2], far)
+    i, j = np.indices((60, 60)).reshape(2, -1)
+    due = paid[j] + rng.exponential(3, 3600)
+    whole, near = pairs.never_worse(i, j, due), pairs._replace(y=y[:2]).never_worse(i, j, due)
+    np.testing.assert_array_equal(pairs.screened(i, j, due), whole)
+    assert 100 < whole.sum() < near.sum() - 100
 
 
 @pytest.mark.parametrize("few", [0, 96])
@@ -723,6 +736,15 @@ def test_a_budget_is_as_tight_whatever_a_model_costs_that_nobody_can_afford(dear
     mean = np.tile([[2.0], [1.0], [0.0], [0.0]], (3, 1, 1))
     problem = SelectionProblem(np.eye(3), mean, 0 * mean, [0, 0.5, 1.25, dear])
     assert len(ms.pareto_front(problem)) == 7
+
+
+def test_a_relaxation_without_time_for_a_mixture_spreads_each_step_over_its_models():
+    price = np.array([[0, 1, np.inf], [0, 1, 2]])
+    mean = np.ones((2, 3, 1))
+    problem = SelectionProblem(np.eye(2), mean, mean, price, budget=1.0)
+    point = relaxations.of_mixture(problem.form, None)
+    np.testing.assert_allclose(point.weights, [[1 / 2, 1 / 2, 0], [1 / 3] * 3])
+    assert point.bound == point.value == np.inf
 
 
 def test_column_generation_ends_where_no_schedule_is_missing():

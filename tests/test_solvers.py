@@ -767,6 +767,7 @@ def test_the_gap_of_a_relaxation_is_zero_where_value_and_bound_meet():
     ("allowed", "message"),
     [
         (np.zeros((12, 4), dtype=bool), "an available model in every row"),
+        (np.arange(12)[:, None] != [7] * 4, "an available model in every row"),
         (np.ones((12, 3), dtype=bool), r"shape \(H, W\) = \(12, 4\), found \(12, 3\)"),
         (np.full((12, 4), 2), "True and False only"),
     ],
@@ -774,6 +775,19 @@ def test_the_gap_of_a_relaxation_is_zero_where_value_and_bound_meet():
 def test_every_step_needs_a_model_that_is_allowed(allowed, message):
     with pytest.raises(ValueError, match=f"^allowed: expected {message}"):
         ms.relax_interior_point(known_suite(0), allowed=allowed)
+
+
+def test_the_bound_of_separable_problems_is_below_exact_costs_where_terms_cancel():
+    """Prices of 1e16 that a pull takes off again: what is left is rounding, either way."""
+    for seed in range(40):
+        rng = np.random.default_rng(seed)
+        mean, size = rng.choice([-1.0, 1], (3, 2, 1)), rng.uniform(1e15, 1e16, (3, 1))
+        price = rng.uniform(0, 3, (3, 2)) - size * mean[..., 0]
+        problem = SelectionProblem(
+            np.eye(3), mean, 0 * mean, price / 0.3, pull=size / 0.7, alpha=0.7, beta=0.3
+        )
+        found = ms.solve_separable(problem)
+        assert found.lower_bound <= min(map(problem.exact_cost, every_schedule(problem)))
 
 
 def test_out_of_time_before_the_first_pass_leaves_the_root_bound():
