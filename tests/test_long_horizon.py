@@ -291,6 +291,26 @@ def test_the_unit_of_a_system_covers_sums_of_all_its_terms(q, n, p):
     assert sensitivity_part._unit(system) >= (n + p) * sensitivity_part.WIDE_EPS
 
 
+def test_squares_err_by_what_they_say_where_large_states_cancel():
+    """Step 0 only hands on 1e8; what is felt of it later is all but made good."""
+    H, c = 4, (0.6, 0.8)
+    own, read, carry, push = (np.full((H, 1, 1), x) for x in (1.0, *c, 1.0))
+    own[0] = 0
+    e, eta = np.zeros(H), 0.0
+    for t in range(H):
+        e[t] = 1e8 if t == 0 else 0.3 - c[0] * eta
+        eta = c[1] * eta + e[t]
+    found, off = sensitivity_part.squares(Sensitivity(own, read, carry, push, True), e[None])
+    state, exact = Fraction(0), Fraction(0)
+    for t in range(H):
+        parts = (Fraction(float(x[t, 0, 0])) for x in (own, read, carry, push))
+        own_t, read_t, carry_t, push_t = parts
+        exact += (own_t * Fraction(e[t]) + read_t * state) ** 2
+        state = carry_t * state + push_t * Fraction(e[t])
+    assert off[0] < 1e-6
+    assert abs(Fraction(found[0]) - exact) <= Fraction(off[0])
+
+
 def rows_exactly(parts, steps, c):
     """What each step adds to the excess of a schedule, in fractions of the very floats."""
     number = np.vectorize(Fraction, otypes=[object])

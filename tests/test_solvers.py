@@ -757,6 +757,11 @@ def test_enumeration_keeps_the_best_of_several_blocks_and_tries_each_schedule_on
     assert sum(map(len, blocks)) == 3**10
 
 
+@pytest.mark.parametrize("most", [1, 2, 3])
+def test_newtons_method_takes_no_more_steps_than_it_may(most):
+    assert ms.relax_interior_point(known_suite(0), gap=0, max_iterations=most).iterations == most
+
+
 def test_the_gap_of_a_relaxation_is_zero_where_value_and_bound_meet():
     point = ms.relax_interior_point(known_suite(0, H=3))
     assert replace(point, value=1.0, bound=1.0).gap == 0
