@@ -36,7 +36,7 @@ def holds(sentence, *facts):
     print("holds:", sentence)
 
 
-# %% alt="Four boxes in a row: pictures whose errors are known, a table of means and variances, a schedule with a promise, a flight by sight. Red notes: luck at the schedule, place and scene at the flight. An arrow leads back: label landings." tags=["hide-input"]
+# %% alt="Four boxes in a row: pictures whose errors are known, a table of means and variances, a schedule with a promise, a flight by sight. Red: luck at the schedule, place and scene at the flight. An arrow leads back." tags=["hide-input"]
 plt.rcParams.update(landing.STYLE)
 ORANGE, BLUE = (landing.LOOK[name]["color"] for name in ("Optimal", "Best Single"))
 figure, axes = plt.subplots(figsize=(12, 3.4))
@@ -79,7 +79,7 @@ np.testing.assert_allclose([toy.trace(), toy.sum()], [0.38125, 0.50625])
 # Each row is a landing through one *scene*: light, ground and clutter. How the camera is held is
 # drawn anew for every picture.
 
-# %% alt="Grey pictures, eight columns from 100 ft down to 0 ft: three landings in other light, clutter and headings, the third again in the coarse pixels of b7. The round pad with its H fills the picture from 5 ft down." tags=["hide-input"]
+# %% alt="Grey pictures from 100 ft down to 0 ft: three landings, the third again in b7's coarse pixels. The pad fills the picture from 5 ft down." tags=["hide-input"]
 figure = landing.plot_gallery(seed=0)
 figure.set_size_inches(10, 6)
 figure.suptitle("The nearer, the larger the pad (last row: as b7 sees it)")
@@ -137,7 +137,7 @@ settings = landing.Settings("trained", **landing.DEFAULTS["trained"])  # alpha 0
 kernel = landing.run_experiment(settings, trained=trained)
 bins = landing.run_experiment(replace(kernel.settings, fit="bins"), trained=trained)  # same prices
 
-# %% alt="Left, the model of each step: by bins it jumps up and down from b6 to b0, by the kernel it goes from b5 to b0 in a few changes. Right, control against perception cost: Optimal pays less than half of what Best Single pays for perception, at nearly its control cost." tags=["hide-input"]
+# %% alt="Left, the model of each step: by bins it jumps up and down from b6 to b0, by the kernel it goes from b5 to b0 in a few changes. Right, Optimal pays less than half of Best Single's perception cost, at nearly its control cost." tags=["hide-input"]
 in_bin, by_kernel = bins.suite.sample_size.max(), kernel.suite.sample_size.min()
 holds("35 pictures count in a bin, over 150 by the kernel", in_bin < 40, by_kernel > 150)
 holds("the optimum of bins promises less", bins.optimal.cost < kernel.optimal.cost)
@@ -293,11 +293,9 @@ assert decided.T.tolist() == [[True, True], [True, False], [False, False]]
 # forty scenes only. The **filter** cuts regret sevenfold, and prices with it, by the rule. But it
 # pays twice what was promised, and its lead is undecided.
 #
-# **In one paragraph.** A promise is broken in three ways: the optimum picks what was measured too
-# well (luck); errors lead the drone away from where they were measured (place); one landing shows
-# one scene. Pooling by distance lessens the first, calibration brings payment nearer to promise.
-# The third matters once a filter adds errors up. Choosing pays: with the kernel alone, 11 ± 4% of
-# the total of the best single model. What the rest adds to this lead is undecided.
+# **In one paragraph.** A promise is broken by luck, place and scene. Pooling by distance lessens the
+# first, calibration brings payment nearer to promise, the third matters once a filter adds errors up.
+# Choosing pays: with the kernel alone, 11 ± 4% of what the best single model costs.
 #
 # ## Recall
 #
