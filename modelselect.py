@@ -83,7 +83,7 @@ import numpy as np
 import numpy.typing as npt
 
 from modelselect_parts import column_generation as generation
-from modelselect_parts import label_search, local_search, passes, relaxations, segments, trellis
+from modelselect_parts import label_search, local_search, long_horizon, passes, relaxations, trellis
 from modelselect_parts import regulator as controllers
 from modelselect_parts import triangle as triangles
 from modelselect_parts.blends import Blend, BlendProblem, sdp_blocks, solve_blend
@@ -599,7 +599,7 @@ def _searched(
     known = (first.reference, first.multiplier), first.choices, first.cost, first.root_bound
     told = improve, lambda *best: _slack(problem, *best), lambda: time_left() <= 0
     search = passes.Search(problem.form, *known, *told)
-    narrow = segments.widths(problem.form, WIDTHS)[skipped:]
+    narrow = long_horizon.widths(problem.form, WIDTHS)[skipped:]
     widths = [width for width in narrow if width < max_labels] + [max_labels]
     for width in [*widths, max_labels]:
         if closed(search.cost, search.proved) or search.expired():

@@ -30,7 +30,8 @@ triangle          what a schedule costs beyond its bound, as a sum over steps; `
                   spends ("budget" alone is, in searches, what labels may cost beyond the bound)
 dominance         which partial schedules others make superfluous
 label_search      the exact search, on bare arrays
-segments          long horizons: parts of them, each a problem of its own
+ahead             what the steps ahead of a partial schedule add, and how soon they forget it
+long_horizon      windows of a long horizon; which passes a search takes
 relaxations       the relaxation, by the engine that is fastest for it
 passes            the exact search pass by pass; the price of a budget
 blends            paper V: Problem 4

@@ -3,7 +3,7 @@ r"""The exact search, on bare arrays: sphere decoding on a trellis, with dominan
 A *label* is a partial schedule, from step t to the last (see triangle.py): its excess so far, its
 offset on the rows still to come, its model where moves cost something, what it has spent where
 there is a limit.  A schedule better than the best one known has excess below what that one has.  So
-a label goes when its excess, and what the steps before must add to it (segments.py), exceeds
+a label goes when its excess, and what the steps before must add to it (ahead.py), exceeds
 this budget; when it cannot keep the limit; or when a cheaper label near it *dominates* it
 (dominance.py).  What remains is a few labels, though in the worst case exponentially many: the
 problem is NP-hard.
@@ -90,20 +90,29 @@ def losses(
 
 
 class Ahead(NamedTuple):
-    """What is known of the steps before each one, which a label has yet to go through."""
+    """What is known of the steps that a label has yet to go through, those before t (ahead.py)."""
 
-    least: Array  #: (H,), the least that they add to an excess, whatever comes from later steps
+    least: Array  #: (H + 1,), R_t, the least that they add to an excess, whatever came in
+    most: Array  #: (H + 1,), what x_t + R_t is at most, x_t what an optimal schedule added so far
     look: int  #: of them, the next so many are near
     far: Array  #: (H,), the share of rho^2 that those which are not near feel at most
+    first: int = 0  #: the step with which the search ends, where it is of a segment
 
-    def room(self, t: int, left: Array) -> Array:
-        """Return the room of labels, (labels,), of what is `left` of the budget (dominance.py).
+    def left(self, t: int, given: Losses) -> float:
+        """Return what labels may have added when the steps before t are still to come."""
+        whole = given.budget + float(self.least[self.first])
+        return min(whole, float(self.most[t]) + given.total) - float(self.least[t])
 
-        |v + y|^2 is at most `left`, of near steps at most what far ones need less.  With rho_far <=
-        sqrt(far) rho, (y_i - y_j)'(v + y_j) <= rho (|v + y_j|_near + sqrt(far) |v + y_j|_far).
+    def room(self, t: int, extra: Array, given: Losses) -> Array:
+        """Return the room of labels, (labels,), at step t of the search (dominance.py).
+
+        |v + y|^2 is at most what is left of the budget, of near steps at most what far ones need
+        less.  With rho_far <= sqrt(far) rho, (y_i - y_j)'(v + y_j) <= rho (|v + y_j|_near +
+        sqrt(far) |v + y_j|_far).
         """
-        whole = np.sqrt(np.maximum(left, 0))
-        near = np.sqrt(np.maximum(left - self.least[max(t - self.look, 0)], 0))
+        t += self.first
+        whole = np.sqrt(np.maximum(given.budget - extra, 0))
+        near = np.sqrt(np.maximum(self.left(max(t - self.look, 0), given) - extra, 0))
         return np.asarray(np.minimum(whole, near + math.sqrt(self.far[t]) * whole))
 
 
@@ -116,6 +125,12 @@ class Labels(NamedTuple):
     state: Choices  #: (labels,), the model of their first step; 0 where moves are free
 
 
+def label(offset: Array) -> Labels:
+    """Return the label that has added nothing, at an offset."""
+    nothing = np.zeros(1)
+    return Labels(nothing, nothing, offset[:, None], np.zeros(1, dtype=np.intp))
+
+
 class Pass(NamedTuple):
     """What one pass found and proved: see `search`."""
 
@@ -123,6 +138,7 @@ class Pass(NamedTuple):
     least: float  #: the excess of every schedule is at least this
     complete: bool  #: whether no label within the budget was dropped for lack of room
     labels: Choices  #: (H,), labels kept at every step
+    ends: Labels  #: those that are left after step 0
 
 
 def search(
@@ -134,6 +150,7 @@ def search(
     expired: Callable[[], bool],
     ahead: Ahead | None = None,
     margin: float = math.inf,
+    begin: Labels | None = None,
 ) -> Pass:
     """Keep at most `width` labels a step, from the last step to the first.
 
@@ -147,19 +164,20 @@ def search(
     limit, twice the losses and what the certificate took off: L(lam) of passes.py, where known.
     """
     H, dropped, rests = len(steps), math.inf, 0
-    ahead = ahead or Ahead(np.zeros(H), H, np.zeros(H))
-    nothing, offset = np.zeros(1), np.zeros((steps[-1].read.shape[1], 1))
-    labels = Labels(nothing, nothing, offset, np.zeros(1, dtype=np.intp))
+    ahead = ahead or Ahead(np.zeros(H + 1), np.full(H + 1, math.inf), H, np.zeros(H))
+    labels = begin or label(np.zeros(steps[-1].read.shape[1]))
     trail: list[tuple[Choices, Choices]] = []
     detour = detours(triangle.moves)
     for t, step in reversed(list(enumerate(steps))):
-        labels, parent, model = _extended(triangle, step, t, purse, given, ahead.least[t], labels)
-        room = ahead.room(t, given.budget - labels.extra)
+        left = ahead.left(ahead.first + t, given)
+        labels, parent, model = _extended(triangle, step, t, purse, given, left, labels)
+        room = ahead.room(t, labels.extra, given)
         across = None if detour is None else detour[t]
         kept, rests = _survivors(labels, room, purse, given, margin, across, rests, expired)
         most = min(width, 64) if expired() else width  # out of time: finish on a narrow beam
         if len(kept) > most:
-            dropped = min(dropped, float(labels.extra[kept[most]] + ahead.least[t]))
+            before = ahead.least[ahead.first + t] - ahead.least[ahead.first]
+            dropped = min(dropped, float(labels.extra[kept[most]] + before))
         kept = kept[:most]
         extra, spent, y, state = labels
         labels = Labels(extra[kept], spent[kept], y.take(kept, axis=1), state[kept])
@@ -171,7 +189,7 @@ def search(
     least += triangle.constant - given.total
     legal = np.where(spent <= purse.limit, extra, math.inf)  # a grain over it proves, and is none
     counts = np.array([len(models) for _, models in reversed(trail)], dtype=np.intp)
-    return Pass(_traced(trail, legal), least, dropped == math.inf, counts)
+    return Pass(_traced(trail, legal), least, dropped == math.inf, counts, labels)
 
 
 def _survivors(
@@ -213,10 +231,10 @@ def _extended(
     t: int,
     purse: Purse,
     given: Losses,
-    before: float,
+    left: float,
     labels: Labels,
 ) -> tuple[Labels, Choices, Choices]:
-    """Put a model of step t in front of every label, where budget and limit allow it.
+    """Put a model of step t in front of every label, where what is left and the limit allow it.
 
     Return the new labels, cheapest first, with the label that each extends and its model.
     """
@@ -226,7 +244,7 @@ def _extended(
     felt = ((step.read @ labels.y)[:, :, None] + (step.own @ deviation.T)[:, None]) ** 2
     move = moves[0, models] if free else moves[:, models][labels.state]
     grown = labels.extra[:, None] + move + felt.sum(axis=0)
-    within, total = grown + before <= given.budget, labels.spent[:, None] + np.zeros(len(models))
+    within, total = grown <= left, labels.spent[:, None] + np.zeros(len(models))
     if purse.spend is not None and purse.ahead is not None:
         spend = purse.spend[t, :, models].T
         total = labels.spent[:, None] + (spend[labels.state] if len(spend) > 1 else spend)

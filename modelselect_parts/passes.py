@@ -2,7 +2,7 @@ r"""An exact search pass by pass, on bare arrays: what each pass finds makes the
 
 A pass keeps so many labels a step (label_search.py).  One that had to drop labels proves the least
 that those cost; a better schedule shrinks the budget of labels; bounds of the steps ahead
-(segments.py), too.  Where spending is limited, so does a better price of it:
+(ahead.py), too.  Where spending is limited, so does a better price of it:
 
 *The dual of a budget.*  At lam a unit of spending, with no limit, the best schedule costs
 
@@ -25,7 +25,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from modelselect_parts import label_search, segments, trellis
+from modelselect_parts import ahead, label_search, long_horizon, trellis
 from modelselect_parts.checks import Array, Choices
 from modelselect_parts.sensitivity import Sensitivity
 from modelselect_parts.triangle import Coordinates, Triangle, purse
@@ -118,14 +118,14 @@ class Search:
         slack = self.allowance(self.choices, before)
         if self.parts is None:
             known = self.form, self.found, self.point, before - root
-            self.parts = segments.prepared(*known, slack, self.expired)
+            self.parts = long_horizon.prepared(*known, slack, self.expired)
         triangle, steps = self.parts
         if not steps:
             return False
         excess = max(0.0, before - root - triangle.constant)
         if self.ahead is None and self._wants_bounds():
-            limits = self.choices[::turn], excess, slack, self.expired
-            self.ahead = segments.bounds_ahead(triangle, steps, *limits)
+            limits = self.choices[::turn], excess, slack, self.form.bare, self.expired
+            self.ahead = ahead.bounds_ahead(triangle, steps, *limits)
         lost = label_search.losses(triangle, steps, self.purse, excess, slack)
         rounding = self.found.taken + 4 * trellis.EPS * (abs(root) + abs(triangle.constant))
         margin = before - self.floor + 2 * lost.total + rounding
@@ -152,4 +152,4 @@ class Search:
         return not self.complete and self.passes == (2 if self.form.arc is None else 1)
 
     def _wants_bounds(self) -> bool:
-        return self.passes >= segments.passes_before_bounds(self.form) and not self.complete
+        return self.passes >= long_horizon.passes_before_bounds(self.form) and not self.complete

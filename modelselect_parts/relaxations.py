@@ -1,7 +1,8 @@
 """The relaxation by the fastest engine for it, on bare arrays, with its certificate.
 
-Newton's method where steps are independent (interior_point.py), in windows if the horizon is long
-(segments.py); column generation where switching costs or a limit tie them (column_generation.py).
+Newton's method where steps are independent (interior_point.py), in windows if the horizon is
+long (long_horizon.py); column generation where switching costs or a limit tie them
+(column_generation.py).
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from modelselect_parts import column_generation, segments, trellis
+from modelselect_parts import column_generation, long_horizon, trellis
 from modelselect_parts.checks import Array
 from modelselect_parts.descent import Relaxation
 from modelselect_parts.interior_point import interior_point
@@ -56,7 +57,7 @@ def fastest(
 
     usable, limits = np.isfinite(form.linear), limits | {"max_iterations": max_iterations}
     if not isinstance(form.M, np.ndarray):
-        return of_weights(form, segments.relax_in_windows(form, usable, closed, **limits))
+        return of_weights(form, long_horizon.relax_in_windows(form, usable, closed, **limits))
     given = form.matrix, form.mean, usable, evaluate, closed
     weights, steps = interior_point(*given, **limits)
     return of_weights(form, weights, steps)

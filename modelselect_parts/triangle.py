@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 import scipy.linalg as la
 
-from modelselect_parts.checks import Array, Choices
+from modelselect_parts.checks import Array
 from modelselect_parts.semidefinite import MATRIX_TOLERANCE
 from modelselect_parts.trellis import Certificate, Form, forward
 
@@ -165,53 +165,3 @@ def compress(triangle: Triangle, least: float, expired: Callable[[], bool]) -> l
         steps[t] = Coordinates(own, read, V.T @ basis[before], V.T @ column, reach, lost)
         basis, scaled = V, V * strength[: V.shape[1]]
     return steps
-
-
-def segment(
-    triangle: Triangle, steps: list[Coordinates], a: int, b: int, excess: float
-) -> Triangle:
-    """Return a triangle whose excess is the least that steps a to b - 1 add, whatever comes later.
-
-    The coordinates y of step b are free, and so is its model.  Of the rows Y e + G y of the segment
-    |(I - P) Y e|^2 is left, P the projection on the range of G: with V its basis, that is what the
-    QR factorisation of [V, Y] has below the rows of V.
-
-    `rounding` is that of excesses up to `excess`: rows err by a share of the lengths of the columns
-    (Higham, theorem 19.4) and by directions of G too weak for V; y is no longer than its reach.
-    """
-    moves, (q, p) = triangle.moves[a:b], steps[a].own.shape
-    n, incoming = (b - a) * p, steps[b - 1].read.shape[1]
-    free = incoming if b < len(steps) else 0
-    rows, y = np.zeros(((b - a) * q, free + n)), np.zeros((incoming, free + n))
-    y[:, :free] = np.eye(incoming, free)
-    for t in reversed(range(a, b)):
-        k = t - a
-        here, errors = slice(k * q, k * q + q), slice(free + k * p, free + k * p + p)
-        rows[here] = steps[t].read @ y
-        rows[here, errors] = steps[t].own
-        y = steps[t].carry @ y
-        y[:, errors] = steps[t].push
-    size, reach = triangle.size[a * p : b * p], steps[b].reach if free else 0.0
-    V, strength, _ = np.linalg.svd(rows[:, :free], full_matrices=False)
-    weak = strength <= 1e-12 * strength.max(initial=0)
-    lengths = np.linalg.norm(rows[:, free:], axis=0) @ size + free * reach
-    off = 16 * EPS * (len(rows) + 1) * (n + free) * float(lengths)
-    off += math.sqrt(free) * reach * float(strength[weak].max(initial=0))
-    V = V[:, ~weak]
-    k = V.shape[1]
-    left = la.qr(np.hstack([V, rows[:, free:]]), mode="r")[0][k : k + n, k:]
-    if b < len(steps):
-        last = np.broadcast_to(moves[-1].min(axis=0), moves[-1:].shape)
-        moves = np.concatenate([moves[:-1], last])
-    rounding = 2 * off * math.sqrt(excess) + off**2
-    U = np.vstack([left, np.zeros((n - len(left), n))])
-    length = float((np.abs(U) @ size).sum())
-    return Triangle(0.0, moves, triangle.deviation[a:b], U, size, rounding, length)
-
-
-def excess_of(triangle: Triangle, choices: Choices) -> float:
-    """Return the excess of a schedule less what it has left of the limit, above the constant."""
-    steps, moves = np.arange(len(choices)), triangle.moves
-    state = np.append(choices[1:], 0) if moves.shape[1] > 1 else 0
-    residual = triangle.U @ triangle.deviation[steps, choices].ravel()
-    return float(moves[steps, state, choices].sum() + residual @ residual)

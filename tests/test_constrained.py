@@ -12,7 +12,15 @@ from hypothesis import strategies as st
 
 import modelselect as ms
 from modelselect import SelectionProblem
-from modelselect_parts import dominance, label_search, local_search, passes, relaxations, trellis
+from modelselect_parts import (
+    ahead,
+    dominance,
+    label_search,
+    local_search,
+    passes,
+    relaxations,
+    trellis,
+)
 from modelselect_parts import triangle as triangles
 
 SEEDS = st.integers(0, 2**32 - 1)
@@ -452,15 +460,16 @@ def test_a_segment_adds_the_least_over_what_comes_after_it(seed):
     whole = triangles.factor(form, trellis.certificate(form, d), d, 0.0, 1e3)
     steps = triangles.compress(whole, 1e-9, lambda: False)
     for a, b in itertools.combinations(range(0, H + 1, 2), 2):
-        part = triangles.segment(whole, steps, a, b, 1.0)
+        part = ahead.segment(whole, steps, a, b)
         assert len(part.moves) == len(part.deviation) == b - a
+        free, _ = ahead.free_start(part, steps, a, onward=False)
         G, t = whole.U[a * p : b * p, b * p :], np.arange(a, b)
         for c in itertools.islice(itertools.product(range(W), repeat=b - a), 0, None, 3):
             rows = whole.U[a * p : b * p, a * p : b * p] @ whole.deviation[t, c].ravel()
             left = rows - G @ np.linalg.lstsq(G, rows, rcond=1e-9)[0]
             on = [whole.moves[a + k, w, v] for k, (v, w) in enumerate(itertools.pairwise(c))]
             least = sum(on) + whole.moves[b - 1, :, c[-1]].min() + left @ left
-            assert triangles.excess_of(part, np.array(c)) == pytest.approx(least, abs=1e-6)
+            assert ahead.follow(part, free, np.array(c))[0][0] == pytest.approx(least, abs=1e-6)
 
 
 @given(SEEDS, st.integers(0, 2), st.integers(1, 60), st.sampled_from([0, 60]))

@@ -15,8 +15,8 @@ from hypothesis import strategies as st
 import landing
 import modelselect as ms
 from modelselect import ControlTask, SelectionProblem, psi, sensitivity
+from modelselect_parts import ahead, long_horizon, trellis
 from modelselect_parts import problem as problem_part
-from modelselect_parts import segments, trellis
 from modelselect_parts import sensitivity as sensitivity_part
 from modelselect_parts.regulator import felt_size
 from modelselect_parts.sensitivity import Sensitivity
@@ -59,10 +59,20 @@ def short_parts():
     """Segments of 1 and 2 steps, windows that overlap by 4, and no matrix whatever H is."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(problem_part, "LONG", 0)
-        patch.setattr(segments, "SEGMENTS", (1, 2))
-        patch.setattr(segments, "LAP", 4)
-        patch.setattr(segments, "WIDTHS", (1, 2, 64))
+        patch.setattr(ahead, "SEGMENTS", (1, 2))
+        patch.setattr(long_horizon, "LAP", 4)
+        patch.setattr(ahead, "WIDTHS", (1, 2, 64))
         patch.setattr(ms, "WIDTHS", [1, 2, 2, 64, 4096])
+        yield
+
+
+@contextlib.contextmanager
+def handicaps():
+    """Segments of 2 and 4 steps, of which every one counts as forgetting what came in."""
+    with short_parts(), pytest.MonkeyPatch.context() as patch:
+        patch.setattr(ahead, "SEGMENTS", (2, 4))
+        patch.setattr(ahead, "LOOK", 2)
+        patch.setattr(ahead, "FORGOTTEN", 2.0)
         yield
 
 
@@ -196,6 +206,17 @@ def test_the_long_search_proves_what_every_schedule_costs(seed):
             ms.check_certificate(problem, found)
 
 
+@given(SEEDS, st.integers(9, 11))
+def test_budgets_that_forget_lose_no_optimum(seed, H):
+    with handicaps():
+        problem, dense = a_problem(seed, H=H)
+        _, W, _ = problem.mean.shape
+        costs = dense.total_cost(np.array(list(itertools.product(range(W), repeat=H))))
+        best, slack = costs.min(), 1e-9 * (1 + np.abs(costs[np.isfinite(costs)]).max())
+        for found in (ms.solve(problem), ms.dynamic_program(dense)):
+            assert abs(found.cost - best) <= slack and found.cost - found.lower_bound <= slack
+
+
 @given(SEEDS)
 def test_a_matrix_is_searched_by_segments_too(seed):
     with short_parts():
@@ -215,25 +236,25 @@ def test_no_bound_of_segments_exceeds_what_a_schedule_adds(seed, as_system, leng
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(problem_part, "LONG", 0)
         if lengths:
-            patch.setattr(segments, "SEGMENTS", lengths)
+            patch.setattr(ahead, "SEGMENTS", lengths)
         problem = a_problem(seed)[0 if as_system else 1]
         form, d = problem.form, ms.relax_interior_point(a_problem(seed)[1]).reference
         found = trellis.certificate(form, d)
         best = ms.enumerate_schedules(a_problem(seed)[1])
         excess = best.cost * np.random.default_rng(seed).choice([1, 1.2, 2]) - found.base
         room = max(excess, 1e-12 * (1 + abs(best.cost)))
-        parts, steps = segments.prepared(form, found, (d, 0.0), room, 0.0, lambda: False)
+        parts, steps = long_horizon.prepared(form, found, (d, 0.0), room, 0.0, lambda: False)
         turn = -1 if as_system and problem.psi.forward else 1
         room = max(room - parts.constant, 1e-12)
         known = best.choices[::turn]
-        R = segments.bounds_ahead(parts, steps, known, room, 0.0, lambda: False).least
+        R = ahead.bounds_ahead(parts, steps, known, room, 0.0, True, lambda: False).least
     assert (R >= 0).all() and (np.diff(R) >= 0).all()
     H, W, _ = problem.mean.shape
     for c in itertools.islice(itertools.product(range(W), repeat=H), 0, None, 7):
         if np.isfinite(parts.moves[np.arange(H), 0, c]).all():
             added = np.cumsum(rows_exactly(parts, steps, c))
             if added[-1] <= room:
-                assert all(Fraction(bound) <= x for bound, x in zip(R[1:], added, strict=False))
+                assert all(Fraction(bound) <= x for bound, x in zip(R[1:], added, strict=True))
 
 
 def least_of_segment(parts, steps, a, b):
@@ -261,24 +282,73 @@ def test_bounds_hold_where_a_step_has_more_rows_than_errors():
         both = np.linalg.qr(rng.normal(size=(H, m + n, n)))[0]
         own, push = rng.normal(size=(H, m, 1)), rng.normal(size=(H, n, 1))
         steps = [
-            segments.Coordinates(*step)
+            long_horizon.Coordinates(*step)
             for step in zip(own, both[:, :m], both[:, m:], push, np.full(H, 100.0), strict=True)
         ]
         deviation, moves = rng.normal(size=(H, W, 1)), rng.exponential(0.05, (H, 1, W))
         size = np.abs(deviation).max(axis=1).ravel()
-        parts = segments.Triangle(0.0, moves, deviation, np.zeros((0, 0)), size, 0.0, 100.0)
+        parts = long_horizon.Triangle(0.0, moves, deviation, np.zeros((0, 0)), size, 0.0, 100.0)
         least = [least_of_segment(parts, steps, 0, b) for b in range(1, H)]
         known = moves[:, 0].argmin(axis=1)
         room = float(sum(rows_exactly(parts, steps, known)))
-        R = segments.bounds_ahead(parts, steps, known, room, 1e-12, lambda: False).least
-        assert (R[1:] <= np.array(least) * (1 + 1e-9) + 1e-12).all()
+        R = ahead.bounds_ahead(parts, steps, known, room, 1e-12, True, lambda: False).least
+        assert (R[1:-1] <= np.array(least) * (1 + 1e-9) + 1e-12).all()
+
+
+def a_chain(seed):
+    """A search of its own: nine steps, two models, and states of which a fifth is handed on."""
+    rng = np.random.default_rng(seed)
+    H, W, q, n = 9, 2, int(rng.integers(1, 3)), int(rng.integers(1, 3))
+    both = rng.normal(size=(H, q + n, n)) * np.append(np.ones(q), np.full(n, 0.2))[:, None]
+    both = np.linalg.qr(both)[0]
+    own, push = rng.normal(size=(H, q, 1)), rng.normal(size=(H, n, 1))
+    deviation, moves = rng.normal(size=(H, W, 1)), rng.exponential(1.0, (H, 1, W))
+    size = np.abs(deviation).max(axis=1).ravel()
+    steps, reach = [None] * H, 0.0
+    for t in reversed(range(H)):
+        reach *= np.linalg.norm(both[t, q:], 2)
+        reach += np.linalg.norm(push[t]) * size[t]
+        steps[t] = long_horizon.Coordinates(own[t], both[t, :q], both[t, q:], push[t], reach)
+    return long_horizon.Triangle(0.0, moves, deviation, np.zeros((0, 0)), size, 0.0, 10.0), steps
+
+
+@pytest.mark.parametrize("seed", range(20, 30))
+def test_a_handicap_is_no_less_than_what_another_offset_would_gain(seed):
+    """By brute force, over all offsets by least squares; of the best schedule and two others."""
+    parts, steps = a_chain(seed)
+    schedules = np.array(list(itertools.product(range(2), repeat=9)))
+    added = np.array([ahead.follow(parts, steps, c)[0] for c in schedules])
+    order, least = np.argsort(added[:, 0]), least_of_segment(parts, steps, 0, 8)
+    for known in schedules[order[[0, 20, 60]]]:
+        u, offsets = ahead.follow(parts, steps, known)
+        limits = float(u[0]), 1e-9
+        with handicaps():
+            found = ahead.bounds_ahead(parts, steps, known, *limits, True, lambda: False)
+            assert (added[order[0]] + found.least <= found.most + 1e-9).all()
+            found.least[5:], found.most[5:] = found.least[4], found.most[4]
+            given_ = ahead.segment(parts, steps, 4, 8), steps, 4, found, u[8], offsets[8]
+            handicap = ahead._handicap(*given_, *limits, lambda: False)[1]
+        halves = itertools.product(range(2), repeat=8)
+        assert handicap >= min(from_offset(parts, steps[:8], offsets[8], c) for c in halves) - least
+        assert np.isfinite(handicap)
+
+
+def from_offset(parts, steps, y, choices):
+    """What the steps before b add after an offset y."""
+    added = 0.0
+    for t, step in reversed(list(enumerate(steps))):
+        e = parts.deviation[t, choices[t]]
+        felt = step.read @ y + step.own @ e
+        added += parts.moves[t, 0, choices[t]] + felt @ felt
+        y = step.carry @ y + step.push @ e
+    return added
 
 
 def test_states_are_bounded_where_nothing_is_forgotten():
     """Weights that forget grow beyond all floats there; those that do not bound the sum."""
     H, one = 8000, np.ones((8000, 1, 1))
     system = Sensitivity(one, 0 * one, one, one, False)
-    reach = segments._reaches(system, one[..., 0])
+    reach = long_horizon._reaches(system, one[..., 0])
     assert np.isfinite(reach).all()
     assert (reach >= np.arange(H, 0, -1) * (1 - 1e-12)).all()
 
@@ -331,11 +401,11 @@ def rows_exactly(parts, steps, c):
 
 
 def test_what_far_steps_feel_is_bounded(monkeypatch):
-    monkeypatch.setattr(segments, "LAP", 40)
+    monkeypatch.setattr(ahead, "LOOK", 20)
     system = sensitivity(landing.preset("textbook", 150).task, "preview")
     arrays = (system.own, system.read, system.carry, system.push, np.zeros(150))
-    steps = [segments.Coordinates(*step) for step in zip(*arrays, strict=True)]
-    look, far = segments.forgetting(steps)
+    steps = [long_horizon.Coordinates(*step) for step in zip(*arrays, strict=True)]
+    look, far = ahead.forgetting(steps)
     assert look % 20 == 0 and far[look + 1 :].max() < 1
     for t in range(look + 1, 150):
         on = np.eye(4)
@@ -369,6 +439,20 @@ def test_a_long_landing_is_proved_without_a_matrix_and_costs_what_a_matrix_says(
     assert ms.reference_bound(dense, found.reference)[0] == pytest.approx(
         found.root_bound, rel=1e-9
     )
+
+
+def test_what_is_forgotten_needs_no_labels(monkeypatch):
+    """Budgets that know all that comes would keep half as many again, and more the longer it is."""
+    task, suite, price = a_long_landing(2001, "step")
+    system = sensitivity(task, "preview")
+    problem = SelectionProblem(system, suite.mean, suite.variance, price * suite.cost, 0.8, 0.2)
+    found = ms.solve(problem)
+    handicap = ahead._handicap
+    monkeypatch.setattr(ahead, "_handicap", lambda *given: (handicap(*given)[0], np.inf))
+    whole = ms.solve(problem)
+    assert found.is_optimal and whole.is_optimal
+    assert found.cost == pytest.approx(whole.cost, rel=1e-12)
+    assert 1.5 * found.work["labels"].mean() < whole.work["labels"].mean()
 
 
 def test_a_long_problem_in_three_lines():

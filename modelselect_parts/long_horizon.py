@@ -1,11 +1,4 @@
-r"""What lies far away hardly matters: parts of a horizon, each solved as a problem of its own.
-
-*Segments.*  Let e_S be the least that the steps of a segment S add to an excess, whatever offset
-comes in from later ones.  Segments share no row of U, so what they add at least adds up, and a
-label at step t may go when its excess and R_t, the sum over segments before t, exceed the budget.
-What is then left of the budget at a step grows far more slowly than the budget, and labels with
-it.  (A segment's own search must not use bounds of shorter ones: its rows are mixed anew, and where
-they outnumber the errors, what a label has added so far no longer adds to what is to come.)
+r"""Long horizons: windows, systems, and the passes that a search takes.
 
 *Windows.*  Any reference point d certifies a bound; that of a long horizon is put together from
 the middles of windows that overlap.
@@ -23,30 +16,20 @@ from typing import Any
 
 import numpy as np
 
-from modelselect_parts.checks import Array, Choices, Mask
+from modelselect_parts.ahead import is_long
+from modelselect_parts.checks import Array, Mask
 from modelselect_parts.interior_point import interior_point
-from modelselect_parts.label_search import Ahead, losses, negligible_strength, search
+from modelselect_parts.label_search import negligible_strength
 from modelselect_parts.sensitivity import Sensitivity, window
 from modelselect_parts.trellis import Certificate, Form, relaxed
 from modelselect_parts.triangle import (
-    FREE,
     Coordinates,
     Triangle,
     compress,
-    excess_of,
     factor,
-    segment,
 )
 
 LAP = 100  # steps that windows overlap by, on either side
-SEGMENTS = (40, 200)  # steps of a segment, the second a multiple of the first
-FORGOTTEN = 1e-6  # share of rho^2 below which steps count as far
-WIDTHS = (64, 512, 4096)
-
-
-def is_long(mean: Array) -> bool:
-    """Whether there are segments enough to lie side by side."""
-    return len(mean) > 2 * SEGMENTS[-1]
 
 
 def widths(form: Form, known: list[int]) -> list[int]:
@@ -56,10 +39,11 @@ def widths(form: Form, known: list[int]) -> list[int]:
     or a budget fewer labels dominate others, so that 64 rarely find much; tried at H = 50 and 150.
     With both, the price of the budget comes after the first pass: what is left needs many labels,
     and a pass that is too narrow for it proves nothing that the price has not.
-    Of systems, few need 512 where 64 did not do: they have bounds ahead by then.
+    Of systems, few need 512 or 4096 where 64 did not do: they have bounds ahead by then, with which
+    a wide pass takes no longer than its labels do.
     """
     if isinstance(form.M, Sensitivity):
-        return known[:1] + known[2:]
+        return known[:1] + known[3:]
     if form.arc is not None and form.price is not None:
         return known[1:2] + known[4:]
     return known if form.bare else known[1:]
@@ -145,74 +129,3 @@ def _reaches(system: Sensitivity, size: Array) -> Array:
                 break  # what does not forget so fast grows without end; f = 1 has bounded it
             best[t] = min(best[t], math.sqrt(total * np.linalg.norm(S, 2)))
     return best
-
-
-# ---------------------------------------------------------------------- bounds from segments
-
-
-def bounds_ahead(
-    triangle: Triangle,
-    steps: list[Coordinates],
-    known: Choices,
-    excess: float,
-    slack: float,
-    expired: Callable[[], bool],
-) -> Ahead:
-    """Bound what the steps before each one add to an excess, whatever comes from later ones.
-
-    Of a long horizon by segments side by side, long ones, and short ones within them.  Else by
-    Russian dolls (Verfaillie, Lemaitre and Schiex 1996): the first sixth of the steps, the first
-    third, the first half, and so on.  The limit on spending is left out, which only lowers them.
-    """
-    H = len(steps)
-    R, stride = np.zeros(H + 1), -(-H // 6)
-    segments = [(0, b) for b in range(stride, H, stride)]
-    if is_long(triangle.deviation):
-        segments = [(a, min(a + k, H)) for k in SEGMENTS for a in range(0, H, k)]
-    for a, b in segments:
-        if expired():
-            break
-        part = segment(triangle, steps, a, b, excess)
-        least = _least_of(part, known[a:b], excess, slack * (b - a) / H, expired)
-        R[b:] += max(0.0, least - (R[b] - R[a]))
-    return Ahead(R[:-1], *forgetting(steps))
-
-
-def _least_of(
-    part: Triangle,
-    known: Choices,
-    excess: float,
-    slack: float,
-    expired: Callable[[], bool],
-) -> float:
-    """Search a segment for the least that it adds; dropping labels proves something, too."""
-    least, excess = 0.0, min(excess, excess_of(part, known))
-    steps = compress(part, negligible_strength(part, excess, slack), expired)
-    for width in WIDTHS if steps else ():
-        given = losses(part, steps, FREE, excess, slack)
-        found = search(part, steps, FREE, given, width, expired)
-        least = max(least, found.least)
-        if found.complete or found.choices is None:
-            break
-        excess = min(excess, excess_of(part, found.choices))
-    return least
-
-
-def forgetting(steps: list[Coordinates]) -> tuple[int, Array]:
-    """Return L and the share (H,) of rho^2 that steps more than L before each one feel at most.
-
-    Any L = 2k steps in a row contain a whole block, ik to (i + 1)k - 1.  As no step makes an offset
-    longer, the squared norm of that block's product of carries bounds the share.
-    """
-    H, k = len(steps), LAP // 4
-    while True:
-        share = np.ones(H // k + 2)
-        for i in range(1, H // k):
-            carries = [step.carry for step in steps[i * k : (i + 1) * k]]
-            norm = float(np.linalg.norm(functools.reduce(np.matmul, carries), 2))
-            share[i] = min(1.0, norm**2)
-        first = np.maximum(-(-np.arange(H) // k) - 2, 0)
-        far = np.where(first > 0, share[first], 0.0)
-        if far.max() < FORGOTTEN or 4 * k > H:
-            return 2 * k, far
-        k *= 2

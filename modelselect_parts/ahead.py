@@ -1,0 +1,251 @@
+r"""What the steps ahead of a label add, and how little it matters to them where it stands.
+
+Let V_t(y) be the least that the steps before t add to an excess, after an offset y.
+
+*Segments.*  Let e_S be the least that the steps a to b - 1 of a segment S add, whatever offset
+comes in.  Segments share no row of U, so what they add at least adds up: V_t(y) >= R_t, the sum
+over segments before t, and a label goes when its excess and R_t exceed the budget.
+
+*Handicaps.*  At every boundary R gives something away, so that labels would still grow with H.  But
+steps forget.  Of the best schedule known let u_b be the excess of its steps from b on and y*_b its
+offset there, and let D_b, its handicap, be no less than V_b(y*_b) - min_y V_b(y).  As one may
+follow it down to b and do the best from there, an optimal schedule, whose offset at b is y_b, has
+
+    x_b + V_b(y_b) <= u_b + V_b(y*_b),    so    x_t + R_t <= u_b + D_b + R_b    for all t >= b,
+
+x_t the excess of its steps from t on: a budget of labels that does not know how long the horizon
+is.  Two searches of the segment before b find D_b: of labels c that begin anywhere, and of labels i
+that begin at y*_b.  The best way from anywhere leads through a c, and an i can go on as it does:
+
+    D_b = max_c min_i  x_i + 2 rho room_c + rho^2 - x_c    (see dominance.py; D_0 = 0).
+
+As room_c knows D_a, one boundary comes after the other.  Where a segment forgets what came in D
+stays as it is from some boundary on, and so do labels: the search is linear in H.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Callable
+
+import numpy as np
+
+from modelselect_parts.checks import Array, Choices
+from modelselect_parts.label_search import Ahead, label, losses, search
+from modelselect_parts.triangle import EPS, FREE, Coordinates, Triangle
+
+SEGMENTS = (40, 200)  # steps of a segment, the second a multiple of the first
+WIDTHS = (64, 512, 4096)  # labels that begin anywhere
+BEAM = 256  # labels that begin where the best schedule known is
+LOOK = 50  # the fewest steps that count as near
+FORGOTTEN = 1e-4  # share of rho^2 below which steps count as far
+INFORMED = 1e-6  # share of what rows say most of below which they say nothing
+WEAK = 1e-12  # share of the strongest direction below which others are rounding
+
+
+def is_long(mean: Array) -> bool:
+    """Whether there are segments enough to lie side by side."""
+    return len(mean) > 2 * SEGMENTS[-1]
+
+
+def bounds_ahead(
+    triangle: Triangle,
+    steps: list[Coordinates],
+    known: Choices,
+    excess: float,
+    slack: float,
+    bare: bool,
+    expired: Callable[[], bool],
+) -> Ahead:
+    """Bound what the steps before each one add to an excess, whatever comes from later ones.
+
+    Of a long horizon by segments side by side, long ones after the short ones within them; with
+    handicaps where long ones forget, moves are free and nothing limits spending (`bare`).  Else by
+    Russian dolls (Verfaillie, Lemaitre and Schiex 1996): the first sixth of the steps, the first
+    third, the first half, and so on.  The limit on spending is left out, which only lowers them.
+    """
+    H, long, (look, far) = len(steps), SEGMENTS[-1], forgetting(steps)
+    spans, forgets = [(0, b) for b in range(-(-H // 6), H, -(-H // 6))], False
+    if is_long(triangle.deviation):
+        spans = [(a, min(a + k, H)) for k in SEGMENTS for a in range(0, H, k)]
+        spans.sort(key=lambda span: (span[1], -span[0]))  # from step 0 on
+        forgets = bare and 2 * look <= long
+    added, offsets = follow(triangle, steps, known)
+    ahead = Ahead(np.zeros(H + 1), np.full(H + 1, added[0] if forgets else math.inf), look, far)
+    for a, b in spans:
+        if expired():
+            break
+        part, share, handicap = segment(triangle, steps, a, b), slack * (b - a) / H, math.inf
+        if forgets and b - a == long and b < H:
+            begin = added[b], offsets[b]
+            least, handicap = _handicap(part, steps, a, ahead, *begin, excess, share, expired)
+        else:
+            least = _least_of(part, steps, a, ahead.least, known[a:b], excess, share, expired)
+        ahead.least[b:] += max(0.0, least - (ahead.least[b] - ahead.least[a]))
+        ahead.most[b:] = np.minimum(ahead.most[b:], added[b] + handicap + ahead.least[b])
+    return ahead
+
+
+def follow(
+    triangle: Triangle, steps: list[Coordinates], choices: Choices
+) -> tuple[Array, list[Array]]:
+    """Return u_b, what a schedule's steps from b on add, and its offset there, b = 0, ..., H."""
+    H, state = len(steps), 0
+    added, offsets = np.zeros(H + 1), [np.zeros(steps[-1].read.shape[1])] * (H + 1)
+    for t, step in reversed(list(enumerate(steps))):
+        e, y = triangle.deviation[t, choices[t]], offsets[t + 1]
+        felt = step.read @ y + step.own @ e
+        added[t] = added[t + 1] + triangle.moves[t, state, choices[t]] + felt @ felt
+        offsets[t] = step.carry @ y + step.push @ e
+        state = choices[t] if triangle.moves.shape[1] > 1 else 0
+    return added, offsets
+
+
+# ---------------------------------------------------------------------------- one segment
+
+
+def segment(triangle: Triangle, steps: list[Coordinates], a: int, b: int) -> Triangle:
+    """Return what steps a to b - 1 add to an excess; the model that comes after them is free."""
+    moves, p = triangle.moves[a:b], triangle.deviation.shape[2]
+    if b < len(steps):
+        last = np.broadcast_to(moves[-1].min(axis=0), moves[-1:].shape)
+        moves = np.concatenate([moves[:-1], last])
+    size = triangle.size[a * p : b * p]
+    parts = zip(steps[a:b], size.reshape(b - a, p), strict=True)
+    rows = [np.abs(np.vstack([step.own, step.push])) @ most for step, most in parts]
+    length = float(sum(np.linalg.norm(row) for row in rows))
+    return Triangle(0.0, moves, triangle.deviation[a:b], triangle.U, size, 0.0, length)
+
+
+def free_start(
+    part: Triangle, steps: list[Coordinates], a: int, onward: bool
+) -> tuple[list[Coordinates], float]:
+    """Return the steps of a segment such that a label adds no more than it must, whatever came in.
+
+    Let y be the offset that came in.  That of a step is Phi y + eta, its rows G y + g, with G =
+    read Phi and g = read eta + own e.  The rows so far are R y - z, but for what they add to an
+    excess whatever y is; a step's join them by a QR factorisation,
+
+        [R; G] = Q [R'; 0],    |R y - z|^2 + |G y + g|^2 = |R' y - z'|^2 + |left|^2,
+
+    [z'; left] = Q'[z; -g].  So (z, eta) takes the place of an offset.  Its coordinates are chosen
+    as in `sensitivity._in_felt_states`: their length is what the steps of the segment feel of it
+    and, if the search goes `onward`, those before, to which it hands on eta + Phi y with the y that
+    fits best, R^+ z.  Return how far this may stray, too.
+    """
+    b = a + len(part.moves)
+    if b == len(steps):
+        return steps[a:b], 0.0  # nothing came in
+    n, free = steps[b - 1].read.shape[1], []
+    R, Phi = np.zeros((n, n)), np.eye(n)
+    reach = part.length + math.sqrt(sum(step.reach**2 for step in steps[a : b + 1]))
+    for own, read, carry, push, _, lost in reversed(steps[a:b]):
+        Q, whole = np.linalg.qr(np.vstack([R, read @ Phi]), mode="complete")
+        rows = np.hstack([Q[:n].T, -Q[n:].T @ np.hstack([read, own])])
+        down = np.vstack([rows[:n], np.hstack([np.zeros((len(carry), n)), carry, push])])
+        k = n + read.shape[1]
+        step = rows[n:, k:], rows[n:, :k], down[:, :k], down[:, k:]
+        free.append(Coordinates(*step, len(Q) * reach, lost))
+        R, Phi = whole[:n], carry @ Phi
+    fit = np.linalg.pinv(R, INFORMED)
+    T = np.hstack([Phi @ fit, np.eye(len(Phi))])[: len(Phi) if onward else 0]
+    for t, (own, read, carry, push, most, lost) in reversed(list(enumerate(free))):
+        V, strength, feels = np.linalg.svd(np.vstack([read, T @ carry]), full_matrices=False)
+        weak = strength <= WEAK * strength.max(initial=0)
+        lost += reach * float(strength[weak].max(initial=0))
+        V = V[:, ~weak]
+        free[t] = Coordinates(own, V[: len(read)], V[len(read) :], T @ push, most, lost)
+        T = strength[~weak, None] * feels[~weak]
+    stray = np.linalg.norm(Phi, 2) * (steps[b].reach + np.linalg.norm(fit, 2) * reach)
+    return free[::-1], float(stray)
+
+
+def _least_of(
+    part: Triangle,
+    steps: list[Coordinates],
+    a: int,
+    least: Array,
+    known: Choices,
+    excess: float,
+    slack: float,
+    expired: Callable[[], bool],
+) -> float:
+    """Search a segment for the least that it adds; dropping labels proves something, too."""
+    free, _ = free_start(part, steps, a, onward=False)
+    nothing = np.full(len(least), math.inf), len(steps), np.zeros(len(least))
+    found, ahead = 0.0, Ahead(least, *nothing, a)
+    excess = min(excess, follow(part, free, known)[0][0])
+    for width in WIDTHS:
+        given = losses(part, free, FREE, excess, slack)
+        again = search(part, free, FREE, given, width, expired, ahead)
+        found = max(found, again.least)
+        if again.complete or again.choices is None:
+            break
+        excess = min(excess, follow(part, free, again.choices)[0][0])
+    return found
+
+
+def _handicap(
+    part: Triangle,
+    steps: list[Coordinates],
+    a: int,
+    ahead: Ahead,
+    added: float,
+    offset: Array,
+    excess: float,
+    slack: float,
+    expired: Callable[[], bool],
+) -> tuple[float, float]:
+    """Return the least that a segment adds, and D_b: infinity if there is no room for all labels.
+
+    Where what is handed on strays, what earlier steps add changes by 2 stray sqrt(B) + stray^2 at
+    most; to this comes the rounding of u.  Labels that the budget of an earlier boundary drops add
+    more to the segment than the best schedule known does: they do not lower the least.
+    """
+    free, stray = free_start(part, steps, a, onward=True)
+    given = losses(part, free, FREE, excess, slack)
+    rounding = 4 * EPS * len(steps) * float(ahead.most[0])
+    change = 2 * stray * math.sqrt(given.budget) + stray**2 + rounding
+    first, far = max(0, a - 2 * ahead.look), np.zeros(a + len(free))
+    far[first:] = forgotten(steps[first:a] + free, ahead.look)
+    here = Ahead(ahead.least, ahead.most - added + change, ahead.look, far, a)
+    anywhere = search(part, free, FREE, given, WIDTHS[-1], expired, here)
+    begin, plain = label(offset), steps[a : a + len(free)]
+    i = search(part, plain, FREE, given, BEAM, expired, here, begin=begin).ends
+    c = anywhere.ends
+    if not anywhere.complete or not len(c.extra) or not len(i.extra):
+        return anywhere.least, math.inf
+    rho2 = ((c.y[:, :, None] - i.y[:, None]) ** 2).sum(axis=0)
+    room = here.room(0, c.extra, given)[:, None]
+    on = (i.extra + 2 * np.sqrt(rho2) * room + rho2).min(axis=1)
+    return anywhere.least, max(0.0, float((on - c.extra).max())) + change + 2 * given.total
+
+
+# ---------------------------------------------------------------------------- forgetting
+
+
+def forgetting(steps: list[Coordinates]) -> tuple[int, Array]:
+    """Return how many steps L count as near, and what those further away feel (`forgotten`)."""
+    look = LOOK
+    while True:
+        far = forgotten(steps, look)
+        if far.max() < FORGOTTEN or 2 * look > len(steps):
+            return look, far
+        look *= 2
+
+
+def forgotten(steps: list[Coordinates], look: int) -> Array:
+    """Return the share (H,) of rho^2 that steps more than L before each one feel at most.
+
+    Any L = 2k steps in a row contain a whole block, ik to (i + 1)k - 1.  As no step makes an offset
+    longer, the squared norm of that block's product of carries bounds the share.
+    """
+    H, k = len(steps), look // 2
+    share = np.ones(H // k + 2)
+    for i in range(1, H // k):
+        carries = [step.carry for step in steps[i * k : (i + 1) * k]]
+        norm = float(np.linalg.norm(functools.reduce(np.matmul, carries), 2))
+        share[i] = min(1.0, norm**2)
+    first = np.maximum(-(-np.arange(H) // k) - 2, 0)
+    return np.where(first > 0, share[first], 0.0)
