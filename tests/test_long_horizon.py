@@ -15,11 +15,12 @@ from hypothesis import strategies as st
 import landing
 import modelselect as ms
 from modelselect import ControlTask, SelectionProblem, psi, sensitivity
-from modelselect_parts import ahead, long_horizon, trellis
+from modelselect_parts import ahead, label_search, long_horizon, trellis
 from modelselect_parts import problem as problem_part
 from modelselect_parts import sensitivity as sensitivity_part
-from modelselect_parts.regulator import felt_size
+from modelselect_parts.regulator import felt_size, observer_of
 from modelselect_parts.sensitivity import Sensitivity
+from modelselect_parts.triangle import FREE
 from perception import textbook_suite
 
 from strategies import tasks
@@ -167,6 +168,13 @@ def test_copies_of_a_system_are_frozen(way):
     assert np.asarray(system)[0, 0] == pytest.approx(64 / 65)
 
 
+def test_an_observer_without_gains_brings_nothing_in():
+    task = ControlTask(np.eye(2), [[0], [1]], [[3], [0]], np.eye(2), [[1]], 4)
+    blind = observer_of(task, "filter", np.zeros((2, 1)))
+    nothing = np.zeros(4)
+    np.testing.assert_array_equal(felt_size(task, nothing, blind), felt_size(task, nothing))
+
+
 # ------------------------------------------------------------------------ problems, and proofs
 
 
@@ -310,6 +318,14 @@ def a_chain(seed):
         reach += np.linalg.norm(push[t]) * size[t]
         steps[t] = long_horizon.Coordinates(own[t], both[t, :q], both[t, q:], push[t], reach)
     return long_horizon.Triangle(0.0, moves, deviation, np.zeros((0, 0)), size, 0.0, 10.0), steps
+
+
+def test_a_budget_that_drops_all_labels_proves_no_more_than_itself():
+    parts, steps = a_chain(0)
+    given_ = label_search.losses(parts, steps, FREE, 1e-3, 1e-6)
+    found = label_search.search(parts, steps, FREE, given_, 64, lambda: False)
+    assert found.choices is None and found.complete
+    assert found.least == given_.budget - given_.total
 
 
 @pytest.mark.parametrize("seed", range(20, 30))

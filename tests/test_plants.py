@@ -185,6 +185,16 @@ def test_printed_matrices_are_taken_once_they_are_mended(seed, k, digits):
         assert np.abs(mended - S).max() <= 2 * k * 10.0**-digits * max(1, np.abs(S).max())
 
 
+@pytest.mark.parametrize("stack", [(3,), (2, 3)])
+def test_each_matrix_of_a_stack_is_mended_as_if_it_were_alone(stack):
+    rng = np.random.default_rng(len(stack))
+    scale = rng.uniform(0.1, 10, (*stack, 4))
+    S = rng.normal(size=(*stack, 4, 4)) * scale[..., None] * scale[..., None, :]
+    for at in np.ndindex(stack):
+        alone = ms.nearest_semidefinite(S[at])
+        np.testing.assert_allclose(ms.nearest_semidefinite(S)[at], alone, rtol=1e-12, atol=1e-12)
+
+
 @given(SEEDS, st.integers(1, 5))
 def test_the_nearest_semidefinite_matrix_is_nearer_than_any_other(seed, k):
     rng = np.random.default_rng(seed)

@@ -100,6 +100,19 @@ def test_both_relaxations_bound_every_schedule_and_reach_their_bound(problem):
         )
 
 
+@pytest.mark.parametrize("relax", [ms.relax, ms.relax_interior_point])
+def test_the_value_of_a_relaxation_that_was_stopped_is_that_of_its_weights(relax):
+    rng = np.random.default_rng(5)
+    F = rng.normal(size=(6, 6))
+    given_ = rng.normal(size=(6, 3, 1)), rng.uniform(0, 1, (6, 3, 1)), rng.uniform(0, 1, 3)
+    problem = SelectionProblem(F @ F.T, *given_, 0.7, 0.3)
+    point = relax(problem, max_iterations=1)
+    d = np.einsum("tw,twi->ti", point.weights, problem.mean).ravel()
+    value = 0.7 * d @ F @ F.T @ d + (point.weights * problem.linear).sum()
+    assert point.value == pytest.approx(value, rel=1e-12)
+    assert point.value > point.bound + 1e-6
+
+
 @given(SEEDS, st.integers(1, 8))
 def test_projected_gradient_meets_bounded_least_squares(seed, k):
     rng = np.random.default_rng(seed)
