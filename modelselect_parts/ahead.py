@@ -19,8 +19,10 @@ that begin at y*_b.  The best way from anywhere leads through a c, and an i can 
 
     D_b = max_c min_i  x_i + 2 rho room_c + rho^2 - x_c    (see dominance.py; D_0 = 0).
 
-As room_c knows D_a, one boundary comes after the other.  Where a segment forgets what came in D
-stays as it is from some boundary on, and so do labels: the search is linear in H.
+As room_c knows D_a, one boundary comes after the other.  Where a segment forgets what came in, D
+stays as it is from some boundary on.  Nor does it matter what the best schedule known has lost
+since the last step: a label near y*_b that has added less takes the place of its steps from b on
+(`Ahead.passed`).  So labels stay as they are, and the search is linear in H.
 """
 
 from __future__ import annotations
@@ -32,7 +34,7 @@ from collections.abc import Callable
 import numpy as np
 
 from modelselect_parts.checks import Array, Choices
-from modelselect_parts.label_search import Ahead, label, losses, search
+from modelselect_parts.label_search import Ahead, Mark, label, losses, search
 from modelselect_parts.triangle import EPS, FREE, Coordinates, Triangle
 
 SEGMENTS = (40, 200)  # steps of a segment, the second a multiple of the first
@@ -72,14 +74,18 @@ def bounds_ahead(
         spans.sort(key=lambda span: (span[1], -span[0]))  # from step 0 on
         forgets = bare and 2 * look <= long
     added, offsets = follow(triangle, steps, known)
-    ahead = Ahead(np.zeros(H + 1), np.full(H + 1, added[0] if forgets else math.inf), look, far)
+    most = np.full(H + 1, added[0] if forgets else math.inf)
+    marks: dict[int, Mark] = {}
+    ahead = Ahead(np.zeros(H + 1), most, look, far, marks=marks)
     for a, b in spans:
         if expired():
             break
         part, share, handicap = segment(triangle, steps, a, b), slack * (b - a) / H, math.inf
         if forgets and b - a == long and b < H:
-            begin = added[b], offsets[b]
-            least, handicap = _handicap(part, steps, a, ahead, *begin, excess, share, expired)
+            near, whole = added[max(b - look, 0)] - added[b], added[0] - added[b]
+            room = math.sqrt(near) + math.sqrt(far[b] * whole)
+            marks[b] = Mark(added[b], offsets[b], room)
+            least, handicap = _handicap(part, steps, a, ahead, marks[b], excess, share, expired)
         else:
             least = _least_of(part, steps, a, ahead.least, known[a:b], excess, share, expired)
         ahead.least[b:] += max(0.0, least - (ahead.least[b] - ahead.least[a]))
@@ -191,8 +197,7 @@ def _handicap(
     steps: list[Coordinates],
     a: int,
     ahead: Ahead,
-    added: float,
-    offset: Array,
+    known: Mark,
     excess: float,
     slack: float,
     expired: Callable[[], bool],
@@ -209,9 +214,9 @@ def _handicap(
     change = 2 * stray * math.sqrt(given.budget) + stray**2 + rounding
     first, far = max(0, a - 2 * ahead.look), np.zeros(a + len(free))
     far[first:] = forgotten(steps[first:a] + free, ahead.look)
-    here = Ahead(ahead.least, ahead.most - added + change, ahead.look, far, a)
+    here = Ahead(ahead.least, ahead.most - known.added + change, ahead.look, far, a)
     anywhere = search(part, free, FREE, given, WIDTHS[-1], expired, here)
-    begin, plain = label(offset), steps[a : a + len(free)]
+    begin, plain = label(known.offset), steps[a : a + len(free)]
     i = search(part, plain, FREE, given, BEAM, expired, here, begin=begin).ends
     c = anywhere.ends
     if not anywhere.complete or not len(c.extra) or not len(i.extra):

@@ -15,7 +15,7 @@ so what a search claims is a theorem (`search`).
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -89,6 +89,14 @@ def losses(
     return Losses(budget, slack / (4 * H * tests), grains, budget - excess)
 
 
+class Mark(NamedTuple):
+    """Where the best schedule known stands, at a boundary of segments."""
+
+    added: float  #: u, what its steps from there on add
+    offset: Array  #: (r,), y*
+    room: float  #: its own, going on as it does
+
+
 class Ahead(NamedTuple):
     """What is known of the steps that a label has yet to go through, those before t (ahead.py)."""
 
@@ -97,11 +105,14 @@ class Ahead(NamedTuple):
     look: int  #: of them, the next so many are near
     far: Array  #: (H,), the share of rho^2 that those which are not near feel at most
     first: int = 0  #: the step with which the search ends, where it is of a segment
+    marks: Mapping[int, Mark] = {}  #: by step
+    gain: float = 0.0  #: by which the best schedule known has been beaten
 
     def left(self, t: int, given: Losses) -> float:
         """Return what labels may have added when the steps before t are still to come."""
         whole = given.budget + float(self.least[self.first])
-        return min(whole, float(self.most[t]) + given.total) - float(self.least[t])
+        most = float(self.most[t]) - self.gain + given.total
+        return min(whole, most) - float(self.least[t])
 
     def room(self, t: int, extra: Array, given: Losses) -> Array:
         """Return the room of labels, (labels,), at step t of the search (dominance.py).
@@ -114,6 +125,22 @@ class Ahead(NamedTuple):
         whole = np.sqrt(np.maximum(given.budget - extra, 0))
         near = np.sqrt(np.maximum(self.left(max(t - self.look, 0), given) - extra, 0))
         return np.asarray(np.minimum(whole, near + math.sqrt(self.far[t]) * whole))
+
+    def passed(self, t: int, labels: Labels, given: Losses) -> Ahead:
+        """Return what is known when the best schedule known may begin like any label at t.
+
+        It goes on as it does, from y_i in the place of y*: with rho = |y_i - y*| that costs 2 rho
+        room + rho^2 at most.  The boundaries to come are farther away than near steps: to its
+        handicaps there sqrt(far) rho adds at most what rho would, with sqrt(B) for room.
+        """
+        if t not in self.marks:
+            return self
+        added, offset, room = self.marks[t]
+        rho = np.linalg.norm(labels.y - offset[:, None], axis=0)
+        far = math.sqrt(self.far[t]) * rho
+        costs = rho * (2 * room + rho) + far * (2 * math.sqrt(given.budget) + far)
+        gain = float((added - labels.extra - costs).max(initial=self.gain))
+        return self._replace(gain=gain)
 
 
 class Labels(NamedTuple):
@@ -154,11 +181,11 @@ def search(
 ) -> Pass:
     """Keep at most `width` labels a step, from the last step to the first.
 
-    A schedule is over the budget, or descends from a label that was dropped, or has a survivor
-    that is no worse, up to the losses: so no schedule's excess is below the least of the three,
-    less the losses.  One with a model that `factor` ruled out costs no less than the best schedule
-    known then, to which callers limit the claim.  A later pass may reuse the basis: its excess is
-    smaller, so no model that it needs was ruled out.
+    An optimal schedule is over the budget, or descends from a label that was dropped, or has a
+    survivor that is no worse, up to the losses: so no schedule's excess is below the least of the
+    three, less the losses.  One with a model that `factor` ruled out costs no less than the best
+    schedule known then, to which callers limit the claim.  A later pass may reuse the basis: its
+    excess is smaller, so no model that it needs was ruled out.
 
     The `margin` is what the budget exceeds the excess of every schedule by that disregards the
     limit, twice the losses and what the certificate took off: L(lam) of passes.py, where known.
@@ -181,6 +208,7 @@ def search(
         kept = kept[:most]
         extra, spent, y, state = labels
         labels = Labels(extra[kept], spent[kept], y.take(kept, axis=1), state[kept])
+        ahead = ahead.passed(t, labels, given)
         trail.append((parent[kept], model[kept]))
     extra, spent = labels.extra, labels.spent
     if purse.spend is not None:  # what is left of the limit is paid for

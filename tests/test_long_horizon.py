@@ -341,8 +341,17 @@ def test_a_handicap_is_no_less_than_what_another_offset_would_gain(seed):
         with handicaps():
             found = ahead.bounds_ahead(parts, steps, known, *limits, True, lambda: False)
             assert (added[order[0]] + found.least <= found.most + 1e-9).all()
+            given_ = label_search.losses(parts, steps, FREE, *limits)
+            best = label_search.search(parts, steps, FREE, given_, 512, lambda: False, found)
+            assert best.complete and best.choices.tolist() == schedules[order[0]].tolist()
             found.least[5:], found.most[5:] = found.least[4], found.most[4]
-            given_ = ahead.segment(parts, steps, 4, 8), steps, 4, found, u[8], offsets[8]
+            given_ = (
+                ahead.segment(parts, steps, 4, 8),
+                steps,
+                4,
+                found,
+                label_search.Mark(u[8], offsets[8], 0.0),
+            )
             handicap = ahead._handicap(*given_, *limits, lambda: False)[1]
         halves = itertools.product(range(2), repeat=8)
         assert handicap >= min(from_offset(parts, steps[:8], offsets[8], c) for c in halves) - least
