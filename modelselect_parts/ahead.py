@@ -74,6 +74,7 @@ def bounds_ahead(
         spans.sort(key=lambda span: (span[1], -span[0]))  # from step 0 on
         forgets = bare and 2 * look <= long
     added, offsets = follow(triangle, steps, known)
+    forgets &= math.isfinite(added[0])  # else `factor` has ruled out a model of its own
     most = np.full(H + 1, added[0] if forgets else math.inf)
     marks: dict[int, Mark] = {}
     ahead = Ahead(np.zeros(H + 1), most, look, far, marks=marks)

@@ -320,6 +320,16 @@ def a_chain(seed):
     return long_horizon.Triangle(0.0, moves, deviation, np.zeros((0, 0)), size, 0.0, 10.0), steps
 
 
+def test_a_schedule_with_a_model_of_no_use_has_no_handicaps():
+    parts, steps = a_chain(20)
+    parts.moves[2, 0, 1] = np.inf
+    known = np.array([0, 0, 1, 0, 0, 0, 0, 0, 0])
+    with handicaps():
+        found = ahead.bounds_ahead(parts, steps, known, 9.0, 1e-9, True, lambda: False)
+    assert (found.most == np.inf).all() and not found.marks
+    assert np.isfinite(found.least).all() and found.least[-1] > 0
+
+
 def test_a_budget_that_drops_all_labels_proves_no_more_than_itself():
     parts, steps = a_chain(0)
     given_ = label_search.losses(parts, steps, FREE, 1e-3, 1e-6)
