@@ -99,7 +99,7 @@ def _fits(shape: Sequence[int], sizes: Sequence[int | None]) -> bool:
 
 def _place(letters: Sequence[str], index: npt.NDArray[np.intp]) -> str:
     """Return where an entry stands, in words where its axes have some."""
-    words = {"H": "step", "W": "model", "p": "component", "t": "step"}
+    words = {"H": "step", "W": "model", "p": "component"}
     if not len(index):
         return ""
     if len(letters) == len(index) and set(letters) <= set(words):

@@ -450,6 +450,24 @@ def test_what_far_steps_feel_is_bounded(monkeypatch):
     assert (far[: look + 1] == 0).all()
 
 
+def test_far_steps_feel_what_a_block_of_carries_leaves():
+    """Of L = 8 steps that hand on 0.9 each, four are a whole block: 0.9^8 of rho^2, from step 9."""
+    one, none = np.ones((1, 1)), np.zeros((1, 1))
+    steps = [long_horizon.Coordinates(one, none, 0.9 * one, one, 1.0)] * 30
+    far = ahead.forgotten(steps, 8)
+    np.testing.assert_allclose(far[9:], 0.9**8, rtol=1e-12)
+    assert (far[:9] == 0).all()
+
+
+def test_dolls_bound_what_lies_ahead_in_six_strides():
+    parts, steps = a_chain(20)
+    parts.moves[:] += 1
+    known = np.zeros(9, dtype=int)
+    excess = float(ahead.follow(parts, steps, known)[0][0])
+    R = ahead.bounds_ahead(parts, steps, known, excess, 1e-9, True, lambda: False).least
+    assert (np.diff(R)[[1, 3, 5, 7]] >= 2 - 1e-6).all() and (np.diff(R)[[0, 2, 4, 6, 8]] == 0).all()
+
+
 def a_long_landing(H, signs, seed=0):
     """The textbook aircraft over and over, in the benchmark's manner."""
     short = landing.preset("textbook", 150).task
