@@ -225,6 +225,13 @@ def test_budgets_that_forget_lose_no_optimum(seed, H):
             assert abs(found.cost - best) <= slack and found.cost - found.lower_bound <= slack
 
 
+def test_no_schedule_of_a_system_is_changed_by_local_search():
+    with short_parts():
+        problem, _ = a_problem(1)
+        found = ms.round_and_swap(problem)
+    assert isinstance(problem.psi, Sensitivity) and found.work["swaps"] == 0
+
+
 @given(SEEDS)
 def test_a_matrix_is_searched_by_segments_too(seed):
     with short_parts():
