@@ -38,8 +38,9 @@ def test_a_continuous_plant_does_not_pass_for_a_discrete_one():
     np.testing.assert_array_equal(task.A, A)
     np.testing.assert_array_equal(task.C, C)
     ControlTask.from_statespace(discrete, C, *COST, dt=0.5)
-    with pytest.raises(ValueError, match=r"^dt: expected that of the discrete system, 0\.5, found"):
-        ControlTask.from_statespace(discrete, C, *COST, dt=0.1)
+    for dt in (0.1, 0.5 + 1e-8, 1.0):
+        with pytest.raises(ValueError, match=r"^dt: expected that of the discrete system, 0\.5, f"):
+            ControlTask.from_statespace(discrete, C, *COST, dt=dt)
     with pytest.raises(ValueError, match=r"^dt: expected real numbers, found"):
         ControlTask.from_statespace(discrete, C, *COST, dt="0.5 s")
     for other in (A, (A, B, C), "plant", scipy.signal.TransferFunction([1], [1, 2])):

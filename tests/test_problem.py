@@ -34,6 +34,8 @@ from modelselect import (
     shown,
     stepwise_cost,
 )
+from modelselect_parts import checks
+from modelselect_parts.matrices import tolerance
 
 from strategies import SEEDS, cases, every_schedule, gram, idle_size, problems, sign_patterns
 
@@ -983,6 +985,21 @@ def test_the_checkers_by_hand():
     assert all(check_information(name) is None for name in ("open_loop", "causal"))
     assert shown(np.eye(2)) == "array([[1., 0.], [0., 1.]])"  # on one line
     assert shown("x" * 78) == f"'{'x' * 78}'" and shown("x" * 79) == f"'{'x' * 76}..."
+
+
+@pytest.mark.parametrize("axes", [(3,), (2, 3), (4, 2, 3)])
+def test_choices_as_solvers_have_them_are_copied_at_once(axes, monkeypatch):
+    choices = np.arange(np.prod(axes)).reshape(axes) % 3
+    monkeypatch.setattr(checks, "check_array", None)
+    found = check_choices(choices, 3, 3)
+    assert (found == choices).all() and not np.shares_memory(found, choices)
+
+
+def test_as_much_asymmetry_as_the_tolerance_is_let_pass():
+    most = tolerance()
+    assert check_semidefinite("M", np.array([[1, most], [0, 1]])).shape == (2, 2)
+    with pytest.raises(ValueError, match=r"^M: expected a symmetric matrix"):
+        check_semidefinite("M", np.array([[1, np.nextafter(most, 1)], [0, 1]]))
 
 
 @pytest.mark.parametrize("unit", [1e-300, 1e-8, 1.0, 1e16, 1e290])

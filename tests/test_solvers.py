@@ -3,6 +3,7 @@
 The oracle is `every_schedule` of strategies.py: the cost of each schedule, and their minimum.
 """
 
+import inspect
 from dataclasses import replace
 from time import perf_counter
 
@@ -15,7 +16,7 @@ from scipy.optimize import lsq_linear
 
 import modelselect as ms
 from modelselect import SelectionProblem
-from modelselect_parts import dominance, passes, trellis
+from modelselect_parts import blends, column_generation, dominance, passes, trellis
 from modelselect_parts import triangle as triangle_part
 from modelselect_parts.semidefinite import cholesky_solver
 from perception import published_suite, textbook_suite
@@ -773,6 +774,28 @@ def test_enumeration_keeps_the_best_of_several_blocks_and_tries_each_schedule_on
 @pytest.mark.parametrize("most", [1, 2, 3])
 def test_newtons_method_takes_no_more_steps_than_it_may(most):
     assert ms.relax_interior_point(known_suite(0), gap=0, max_iterations=most).iterations == most
+
+
+@pytest.mark.parametrize(
+    ("relax", "module", "name"),
+    [
+        (ms.relax, ms, "projected_gradient"),
+        (ms.relax_interior_point, ms, "_relax"),
+        (ms.relax_by_columns, column_generation, "columns"),
+        (ms.solve_blend, blends, "projected_gradient"),
+    ],
+)
+def test_a_relaxation_stops_after_as_many_steps_as_its_signature_says(
+    relax, module, name, monkeypatch
+):
+    def limits(*given, **named):
+        raise StopIteration(*given, *named.values())
+
+    monkeypatch.setattr(module, name, limits)
+    problem = known_suite(0, H=3)
+    with pytest.raises(StopIteration) as told:
+        relax(ms.BlendProblem(problem) if relax is ms.solve_blend else problem)
+    assert inspect.signature(relax).parameters["max_iterations"].default in told.value.args[-2:]
 
 
 def test_the_gap_of_a_relaxation_is_zero_where_value_and_bound_meet():
