@@ -116,7 +116,7 @@ def _of_cells(
     largest, many = float(room.max()), state is not None and len(paid) >= MANY
     near, spread, far = _telling(y, TELLING * largest)
     pairs = Pairs(paid, room, y, near, far)
-    powers = np.cumprod(np.full(len(near) + 1, ODD, dtype=np.uint64))
+    powers = np.cumprod(np.full(len(near) + 1, ODD))
     fruitful = [True] if detour is None or not many else [True, True]
     for halvings in GRIDS if merge >= 0 else GRIDS[:-1]:  # equal labels do not differ by a margin
         if len(alive) <= FEW or largest == 0 or expired():

@@ -95,13 +95,15 @@ class Mark(NamedTuple):
     added: float  #: u, what its steps from there on add
     offset: Array  #: (r,), y*
     room: float  #: its own, going on as it does
+    whole: float  #: the same where all steps before are far
 
 
 class Ahead(NamedTuple):
     """What is known of the steps that a label has yet to go through, those before t (ahead.py)."""
 
     least: Array  #: (H + 1,), R_t, the least that they add to an excess, whatever came in
-    most: Array  #: (H + 1,), what x_t + R_t is at most, x_t what an optimal schedule added so far
+    most: Array  #: (H + 1,), what x_t + R_t is at most, x_t what an optimal schedule added so far;
+    #: in the search of a segment, what it added there
     look: int  #: of them, the next so many are near
     far: Array  #: (H,), the share of rho^2 that those which are not near feel at most
     first: int = 0  #: the step with which the search ends, where it is of a segment
@@ -109,7 +111,11 @@ class Ahead(NamedTuple):
     gain: float = 0.0  #: by which the best schedule known has been beaten
 
     def left(self, t: int, given: Losses) -> float:
-        """Return what labels may have added when the steps before t are still to come."""
+        """Return what labels may have added when the steps before t are still to come.
+
+        Dominators may have added more than an optimal schedule: at any step by what all of merging
+        and rounding gives away, `given.total`, as they may take its own models from there on.
+        """
         whole = given.budget + float(self.least[self.first])
         most = float(self.most[t]) - self.gain + given.total
         return min(whole, most) - float(self.least[t])
@@ -117,28 +123,28 @@ class Ahead(NamedTuple):
     def room(self, t: int, extra: Array, given: Losses) -> Array:
         """Return the room of labels, (labels,), at step t of the search (dominance.py).
 
-        |v + y|^2 is at most what is left of the budget, of near steps at most what far ones need
-        less.  With rho_far <= sqrt(far) rho, (y_i - y_j)'(v + y_j) <= rho (|v + y_j|_near +
-        sqrt(far) |v + y_j|_far).
+        |v + y|^2 is at most what is left of the budget; that of near steps t - L to t - 1 at most
+        what is left at t - L, as the far ones before need their R.  With rho_far <= sqrt(far) rho,
+        (y_i - y_j)'(v + y_j) <= rho (|v + y_j|_near + sqrt(far) |v + y_j|_far).
         """
         t += self.first
         whole = np.sqrt(np.maximum(given.budget - extra, 0))
         near = np.sqrt(np.maximum(self.left(max(t - self.look, 0), given) - extra, 0))
         return np.asarray(np.minimum(whole, near + math.sqrt(self.far[t]) * whole))
 
-    def passed(self, t: int, labels: Labels, given: Losses) -> Ahead:
+    def passed(self, t: int, labels: Labels) -> Ahead:
         """Return what is known when the best schedule known may begin like any label at t.
 
         It goes on as it does, from y_i in the place of y*: with rho = |y_i - y*| that costs 2 rho
         room + rho^2 at most.  The boundaries to come are farther away than near steps: to its
-        handicaps there sqrt(far) rho adds at most what rho would, with sqrt(B) for room.
+        handicaps there sqrt(far) rho adds at most what rho would, with sqrt(V) <= `whole` for room.
         """
         if t not in self.marks:
             return self
-        added, offset, room = self.marks[t]
+        added, offset, room, whole = self.marks[t]
         rho = np.linalg.norm(labels.y - offset[:, None], axis=0)
         far = math.sqrt(self.far[t]) * rho
-        costs = rho * (2 * room + rho) + far * (2 * math.sqrt(given.budget) + far)
+        costs = rho * (2 * room + rho) + far * (2 * whole + far)
         gain = float((added - labels.extra - costs).max(initial=self.gain))
         return self._replace(gain=gain)
 
@@ -208,7 +214,7 @@ def search(
         kept = kept[:most]
         extra, spent, y, state = labels
         labels = Labels(extra[kept], spent[kept], y.take(kept, axis=1), state[kept])
-        ahead = ahead.passed(t, labels, given)
+        ahead = ahead.passed(t, labels)
         trail.append((parent[kept], model[kept]))
     extra, spent = labels.extra, labels.spent
     if purse.spend is not None:  # what is left of the limit is paid for
@@ -295,4 +301,4 @@ def _traced(trail: list[tuple[Choices, Choices]], extra: Array) -> Choices | Non
     for parents, models in reversed(trail):
         choices.append(models[label])
         label = parents[label]
-    return np.array(choices, dtype=np.intp)
+    return np.array(choices)

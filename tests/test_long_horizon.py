@@ -282,7 +282,7 @@ def least_of_segment(parts, steps, a, b):
             rows.append(steps[t].read @ (0 * free[0] + y) + steps[t].own @ e)
             effect.append(steps[t].read @ free)
             y, free = steps[t].carry @ (0 * free[0] + y) + steps[t].push @ e, steps[t].carry @ free
-        rows, G = np.concatenate(rows), np.concatenate(effect) * (b < len(steps))
+        rows, G = np.concatenate(rows), np.concatenate(effect)
         left = rows - G @ np.linalg.lstsq(G, rows, rcond=1e-12)[0]
         moves = parts.moves[np.arange(a, b), 0, c].sum()
         best = min(best, moves + left @ left)
@@ -367,12 +367,33 @@ def test_a_handicap_is_no_less_than_what_another_offset_would_gain(seed):
                 steps,
                 4,
                 found,
-                label_search.Mark(u[8], offsets[8], 0.0),
+                label_search.Mark(u[8], offsets[8], 0.0, 0.0),
             )
             handicap = ahead._handicap(*given_, *limits, lambda: False)[1]
         halves = itertools.product(range(2), repeat=8)
         assert handicap >= min(from_offset(parts, steps[:8], offsets[8], c) for c in halves) - least
         assert np.isfinite(handicap)
+
+
+def test_a_handicap_grows_by_what_strays_what_rounds_and_what_is_given_away(monkeypatch):
+    """By 2 stray sqrt(B) + stray^2, by 4 eps a step of all that is added, by twice the losses."""
+    parts, steps = a_chain(20)
+    part, B = ahead.segment(parts, steps, 4, 8), 100.0
+    free, _ = ahead.free_start(part, steps, 4, onward=True)
+    offset = ahead.follow(parts, steps, np.zeros(9, dtype=int))[1][8]
+
+    def handicap(stray, whole, lost):
+        monkeypatch.setattr(ahead, "free_start", lambda *given, **named: (free, stray))
+        given_ = label_search.Losses(B, 0.0, 0.0, lost)
+        monkeypatch.setattr(ahead, "losses", lambda *given: given_)
+        known = label_search.Ahead(np.zeros(10), np.full(10, whole), 2, np.zeros(9))
+        mark = label_search.Mark(0.0, offset, 0.0, 0.0)
+        return ahead._handicap(part, steps, 4, known, mark, B, 0.0, lambda: False)[1]
+
+    least = handicap(0.0, 1e3, 0.0)
+    assert handicap(0.5, 1e3, 0.0) - least == pytest.approx(2 * 0.5 * 10 + 0.25, rel=1e-9)
+    assert handicap(0.0, 1e13, 0.0) - least == pytest.approx(4 * 9 * 1e13 / 2**52, rel=1e-6)
+    assert handicap(0.0, 1e3, 0.25) - least == pytest.approx(0.5, rel=1e-9)
 
 
 def from_offset(parts, steps, y, choices):
