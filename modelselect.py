@@ -217,18 +217,18 @@ def check_certificate(problem: SelectionProblem, schedule: Schedule) -> float:
 def _certified(
     problem: SelectionProblem,
     choices: Choices,
-    point: Relaxation,
+    point: tuple[Array, float],
     solver: str,
     proved: float = -math.inf,
     **work: Any,
 ) -> Schedule:
-    """Make a Schedule, with the better bound of the certificate and what a search has `proved`.
+    """Make a Schedule, with the better of the bound at a point (d, lam) and what a search `proved`.
 
     LB(0, 0) is a bound as well: the better one where errors cancel.  So are the cheapest prices,
     to the last digit, without a pull: no variance costs less than 0.
     """
     cost, rounding = problem._accurate_cost(choices)
-    points = ((point.reference, point.multiplier), (np.zeros(len(point.reference)), 0.0))
+    points = (point, (np.zeros(len(point[0])), 0.0))
     root, d, multiplier = max(
         ((_certificate(problem, *pair).bound, *pair) for pair in points),
         key=lambda triple: triple[0],
@@ -248,12 +248,6 @@ def _proved(
     cost, rounding = problem._accurate_cost(choices)
     lower = min(cost, max(first.lower_bound, min(proved, cost - rounding)))
     return replace(first, choices=choices, cost=cost, lower_bound=lower, **found)
-
-
-def _at(problem: SelectionProblem, choices: Choices) -> Relaxation:
-    """Return the point of the relaxation that a schedule is itself."""
-    cost, b = float(problem.total_cost(choices)), one_hot(choices, problem.mean.shape[1])
-    return Relaxation(b, problem.chosen_mean(choices), cost, -math.inf, 0)
 
 
 def _stopwatch(problem: SelectionProblem, time_limit: float | None) -> Callable[[], float]:
@@ -284,7 +278,7 @@ def enumerate_schedules(problem: SelectionProblem, *, max_schedules: int = 2**22
         block = number[:, None] // W ** np.arange(H)[::-1] % W  # the digits of 0..W^H-1 in base W
         found.append(_cheapest(problem, block))
     best, _ = _cheapest(problem, np.array([choices for choices, _ in found]))
-    proved, point = min(bound for _, bound in found), _at(problem, best)
+    proved, point = min(bound for _, bound in found), (problem.chosen_mean(best), 0.0)
     return _certified(problem, best, point, "enumerate_schedules", proved, schedules=W**H)
 
 
@@ -318,7 +312,8 @@ def solve_separable(problem: SelectionProblem) -> Schedule:
     unit = trellis.rounding_unit(mean)
     proved = float((alone - unit * size).min(axis=1).sum())
     choices = alone.argmin(axis=1)
-    return _certified(problem, choices, _at(problem, choices), "solve_separable", proved)
+    point = problem.chosen_mean(choices), 0.0
+    return _certified(problem, choices, point, "solve_separable", proved)
 
 
 # ------------------------------------------------------------------- solvers: the relaxation
@@ -489,7 +484,8 @@ def _start(
         starts.append(trellis.cheapest_path(problem._price, problem.switch_cost))
     swapped = [_swap(problem, starts, time_left), (starts[-1], 0)]
     choices, swaps = min(swapped, key=lambda pair: _feasible_cost(problem, pair[0]))
-    return _certified(problem, choices, point, "round_and_swap", swaps=swaps)
+    known = point.reference, point.multiplier
+    return _certified(problem, choices, known, "round_and_swap", swaps=swaps)
 
 
 def _swap(

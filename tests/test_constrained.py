@@ -472,6 +472,18 @@ def test_a_segment_adds_the_least_over_what_comes_after_it(seed):
             assert ahead.follow(part, free, np.array(c))[0][0] == pytest.approx(least, abs=1e-6)
 
 
+@pytest.mark.parametrize(("labels", "gone", "rests"), [(4, 1, 2), (3, 1, 0), (3, 2, 0), (2, 0, 2)])
+def test_a_test_that_drops_less_than_a_third_rests_for_two_steps(labels, gone, rests):
+    y = np.maximum(np.arange(labels) - gone, 0.0)[None]  # so many are like the first
+    nothing, states = np.zeros(labels), np.zeros(labels, dtype=int)
+    partial = label_search.Labels(nothing, nothing, y, states)
+    purse = triangles.Purse(0.0, np.zeros((1, 1, 2)), None, 1.0, 1.0, 0.0)
+    given_ = label_search.Losses(1.0, 0.0, 0.0, 0.0)
+    told = purse, given_, np.inf, None, 0, lambda: False
+    kept, found = label_search._survivors(partial, nothing, *told)
+    assert (len(kept), found) == (labels - gone, rests)
+
+
 @given(SEEDS, st.integers(0, 2), st.integers(1, 60), st.sampled_from([0, 60]))
 def test_labels_that_a_margin_drops_lead_to_no_schedule_within_the_budget(seed, r, labels, few):
     # With completions |v + y|^2 + c, each label's least excess is known; none is below the floor.

@@ -124,6 +124,13 @@ def test_products_and_squares_are_off_by_no_more_than_they_say(task, information
     assert abs(Fraction(found) - square) <= off <= 1e-12 * found + 1e-300
 
 
+def test_digits_count_by_what_is_felt_and_no_less_than_a_billionth_of_the_most():
+    one = np.eye(1)
+    task = ControlTask(one, one, 2 * one, one, one, 3)  # an error alone costs up to 4
+    felt = felt_size(task, np.array([4.0, 1e-6, 0.0]))
+    np.testing.assert_allclose(felt, np.sqrt([4, 1e-6, 4e-9]), rtol=1e-12)
+
+
 def test_states_are_as_long_as_what_they_add_to_later_outputs():
     system = sensitivity(landing.preset("textbook", 40).task, "preview")
     both = np.concatenate([system.read, system.carry], axis=1)
@@ -223,6 +230,18 @@ def test_budgets_that_forget_lose_no_optimum(seed, H):
         best, slack = costs.min(), 1e-9 * (1 + np.abs(costs[np.isfinite(costs)]).max())
         for found in (ms.solve(problem), ms.dynamic_program(dense)):
             assert abs(found.cost - best) <= slack and found.cost - found.lower_bound <= slack
+
+
+def test_models_of_no_use_have_no_deviation_in_a_system_either():
+    task = ControlTask([[1, 0.1], [0, 1]], [[0], [0.1]], [[0], [0.1]], np.eye(2), [[0.1]], 3)
+    mean = np.tile([[0.1], [50.0]], (3, 1, 1))
+    with short_parts():
+        problem = SelectionProblem(sensitivity(task, "preview"), mean, 0 * mean, [0, np.inf])
+        found = trellis.certificate(problem.form, np.zeros(3))
+        given_ = found, (np.zeros(3), 0.0), 1.0, 0.0, lambda: False
+        parts, _ = long_horizon.prepared(problem.form, *given_)
+    np.testing.assert_array_equal(parts.deviation, mean * [[1], [0]])
+    np.testing.assert_array_equal(parts.size, 0.1)
 
 
 def test_no_schedule_of_a_system_is_changed_by_local_search():

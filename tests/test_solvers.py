@@ -351,6 +351,12 @@ def test_equal_offsets_merge_although_they_differ_by_rounding():
     assert kept.sum() == 2
 
 
+def test_a_label_that_only_a_discarded_one_dominates_stays():
+    y = 0.9 * np.arange(5.0)[None]  # with 1 to give away, each is near the next one only
+    kept = dominance.undominated(np.zeros(5), y, np.zeros(5), 1.0, lambda: False)
+    assert kept.tolist() == [True, False, True, False, True]
+
+
 def test_preview_labels_stay_few_at_full_scale():
     problem = landing_problem("preview", "step")
     schedule = ms.dynamic_program(problem)
