@@ -574,6 +574,16 @@ def test_the_best_interval_of_steps_goes_to_one_model_until_none_helps(seed):
     assert problem.total_cost(end) == pytest.approx(best_change(end), abs=2e-9)
 
 
+def test_intervals_end_where_their_model_is_missing():
+    price = np.zeros((5, 2))
+    price[2, 1] = np.inf
+    mean, switch = np.tile([[1.0], [0.0]], (5, 1, 1)), 0.1 * (1 - np.eye(2))
+    problem = SelectionProblem(np.eye(5), mean, 0 * mean, price, switch_cost=switch)
+    start = np.zeros(5, dtype=int)
+    found, count = local_search.swap_blocks(problem.form, start, 1e-9, lambda: 1.0)
+    assert found.tolist() == [1, 1, 0, 1, 1] and count == 2
+
+
 def test_schedules_are_disturbed_where_no_single_change_helps():
     switch = np.array([[0, 1.0], [1, 0]])
     problem = SelectionProblem(

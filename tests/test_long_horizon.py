@@ -131,6 +131,16 @@ def test_digits_count_by_what_is_felt_and_no_less_than_a_billionth_of_the_most()
     np.testing.assert_allclose(felt, np.sqrt([4, 1e-6, 4e-9]), rtol=1e-12)
 
 
+def test_what_a_product_may_be_off_by_adds_up_over_steps():
+    """Of 25 steps that meet nowhere, each adds a unit of its own output, there and back."""
+    one, none = np.ones((25, 1, 1)), np.zeros((25, 1, 1))
+    system = Sensitivity(one, one - 1, one, none, False)
+    found, off = sensitivity_part.product(system, np.ones(25))
+    unit, eps = sensitivity_part._unit(system), sensitivity_part.EPS
+    np.testing.assert_array_equal(found, 1)
+    np.testing.assert_allclose(off, 2 * unit * (25 + 25) + eps, rtol=1e-9)
+
+
 def test_states_are_as_long_as_what_they_add_to_later_outputs():
     system = sensitivity(landing.preset("textbook", 40).task, "preview")
     both = np.concatenate([system.read, system.carry], axis=1)
@@ -413,6 +423,16 @@ def test_a_handicap_grows_by_what_strays_what_rounds_and_what_is_given_away(monk
     assert handicap(0.5, 1e3, 0.0) - least == pytest.approx(2 * 0.5 * 10 + 0.25, rel=1e-9)
     assert handicap(0.0, 1e13, 0.0) - least == pytest.approx(4 * 9 * 1e13 / 2**52, rel=1e-6)
     assert handicap(0.0, 1e3, 0.25) - least == pytest.approx(0.5, rel=1e-9)
+
+
+def test_what_the_best_schedule_known_has_lost_is_never_less_than_it_was():
+    """A label that has added 3 less at an offset 1 away, with room 0.5, gains 3 - 2 * 0.5 - 1."""
+    nothing, marks = np.zeros(9), {4: label_search.Mark(5.0, np.ones(1), 0.5, 0.0)}
+    known = label_search.Ahead(nothing, nothing, 2, nothing, marks=marks)
+    labels = label_search.label(np.zeros(1))._replace(extra=np.full(1, 2.0))
+    assert known.passed(4, labels).gain == 1.0
+    assert known._replace(gain=1.5).passed(4, labels).gain == 1.5
+    assert known.passed(3, labels) is known
 
 
 def from_offset(parts, steps, y, choices):

@@ -989,10 +989,11 @@ def test_the_checkers_by_hand():
 
 @pytest.mark.parametrize("axes", [(3,), (2, 3), (4, 2, 3)])
 def test_choices_as_solvers_have_them_are_copied_at_once(axes, monkeypatch):
-    choices = np.arange(np.prod(axes)).reshape(axes) % 3
+    mixed = np.arange(np.prod(axes)).reshape(axes) % 3
     monkeypatch.setattr(checks, "check_array", None)
-    found = check_choices(choices, 3, 3)
-    assert (found == choices).all() and not np.shares_memory(found, choices)
+    for choices in (mixed, 0 * mixed, 0 * mixed + 2):
+        found = check_choices(choices, 3, 3)
+        assert (found == choices).all() and not np.shares_memory(found, choices)
 
 
 def test_as_much_asymmetry_as_the_tolerance_is_let_pass():
