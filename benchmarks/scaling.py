@@ -282,7 +282,7 @@ def parse() -> argparse.Namespace:
     if options.quick:
         options.families, options.horizons = ["published", HARDEST], [25, 50, 100]
         options.models, options.components, options.middle = [2, 8], [1, 2], 50
-        options.seeds, options.repeat, options.limit = 1, 1, 5
+        options.seeds, options.repeat, options.limit = 1, 1, 60
         options.long_horizons, options.long_seeds = [1200], 1
     return options
 

@@ -25,11 +25,11 @@ x_i what they add within the segment (dominance.py).  Which c it is we do not kn
 
     D_b = max_c min_i  x_i + 2 rho room_c + rho^2 - x_c,    D_0 = 0.
 
-The budgets of the labels c know D_a, and room_c handicaps before it, so one boundary comes after
-the other.  Where a segment forgets what came in, D stays as it is from some boundary on.  Nor does
+The budgets of the labels c know D_a, their rooms handicaps before it: one boundary comes after the
+other.  Where a segment forgets what came in, D stays as it is from some boundary on.  Nor does
 it matter what the best schedule known has lost since step H-1: a label near y*_b that has added
 less takes the place of its steps from b on (`Ahead.passed`).  But for shares sqrt(far) of sqrt(B),
-far below FORGOTTEN, nothing here grows with H; nor do labels, as measured, up to H = 10,000.
+with far < FORGOTTEN, nothing here grows with H; nor do labels, as measured, up to H = 10,000.
 """
 
 from __future__ import annotations
