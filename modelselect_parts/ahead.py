@@ -170,8 +170,8 @@ def free_start(
         V = V[:, ~weak]
         free[t] = Coordinates(own, V[: len(read)], V[len(read) :], T @ push, most, lost)
         T = strength[~weak, None] * feels[~weak]
-    stray = np.linalg.norm(Phi, 2) * (steps[b].reach + np.linalg.norm(fit, 2) * reach)
-    return free[::-1], float(stray)
+    stray = _strength(Phi) * (steps[b].reach + _strength(fit) * reach)
+    return free[::-1], stray
 
 
 def _least_of(
@@ -259,7 +259,11 @@ def forgotten(steps: list[Coordinates], look: int) -> Array:
     share = np.ones(H // k + 2)
     for i in range(1, H // k):
         carries = [step.carry for step in steps[i * k : (i + 1) * k]]
-        norm = float(np.linalg.norm(functools.reduce(np.matmul, carries), 2))
-        share[i] = min(1.0, norm**2)
+        share[i] = min(1.0, _strength(functools.reduce(np.matmul, carries)) ** 2)
     first = np.maximum(-(-np.arange(H) // k) - 2, 0)
     return np.where(first > 0, share[first], 0.0)
+
+
+def _strength(M: Array) -> float:
+    """Return the largest singular value; NumPy's norm refuses a matrix without entries before 2.3."""
+    return float(np.linalg.svd(M, compute_uv=False).max(initial=0))

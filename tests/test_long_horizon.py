@@ -526,6 +526,12 @@ def test_far_steps_feel_what_a_block_of_carries_leaves():
     assert (far[:9] == 0).all()
 
 
+def test_offsets_without_coordinates_are_forgotten_at_once():
+    none = np.zeros((0, 0))
+    steps = [long_horizon.Coordinates(*4 * [none], 0.0)] * 30
+    assert (ahead.forgotten(steps, 8) == 0).all()
+
+
 def test_dolls_bound_what_lies_ahead_in_six_strides():
     parts, steps = a_chain(20)
     parts.moves[:] += 1
