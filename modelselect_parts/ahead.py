@@ -161,7 +161,7 @@ def free_start(
         step = rows[n:, k:], rows[n:, :k], down[:, :k], down[:, k:]
         free.append(Coordinates(*step, len(Q) * reach, lost))
         R, Phi = whole[:n], carry @ Phi
-    fit = np.linalg.pinv(R, INFORMED)
+    fit = np.asarray(np.linalg.pinv(R, INFORMED), dtype=float)
     T = np.hstack([Phi @ fit, np.eye(len(Phi))])[: len(Phi) if onward else 0]
     for t, (own, read, carry, push, most, lost) in reversed(list(enumerate(free))):
         V, strength, feels = np.linalg.svd(np.vstack([read, T @ carry]), full_matrices=False)
@@ -265,5 +265,5 @@ def forgotten(steps: list[Coordinates], look: int) -> Array:
 
 
 def _strength(M: Array) -> float:
-    """Return the largest singular value; NumPy's norm refuses a matrix without entries before 2.3."""
+    """Return the largest singular value, 0 without entries: NumPy 2.0 has no norm of these."""
     return float(np.linalg.svd(M, compute_uv=False).max(initial=0))
