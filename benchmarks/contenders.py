@@ -319,8 +319,8 @@ def _products(
     here = [step, H + i * H + step[j], H + j * H + step[i]]
     own, other = np.repeat(np.arange(N), H), np.tile(np.arange(H), N)
     own, other = own[step[own] != other], other[step[own] != other]
-    row = np.concatenate([*here, H + own * H + other])
-    column = np.concatenate([np.arange(N), y, y, own])
+    row = np.concatenate([*here, H + own * H + other], dtype=np.int32)  # as SciPy 1.13's milp wants
+    column = np.concatenate([np.arange(N), y, y, own], dtype=np.int32)
     value = np.concatenate([np.ones(N + 2 * len(y)), -np.ones(len(own))])
     matrix = sparse.csr_array((value, (row, column)), shape=(H + N * H, N + len(y)))
     used = np.diff(matrix.indptr) > 0
