@@ -95,7 +95,7 @@ class Mark(NamedTuple):
     added: float  #: u, what its steps from there on add
     offset: Array  #: (r,), y*
     room: float  #: its own, going on as it does
-    whole: float  #: the same where all steps before are far
+    whole: float  #: sqrt(u_0 - u_b), the room of all its steps before, near or far
 
 
 class Ahead(NamedTuple):

@@ -3,7 +3,7 @@
 A mistake that costs no optimum may yet cost labels, nodes or steps, or blunt a bound, and no proof
 notices.  So every case here has its numbers in work.json: a change that lowers them, or raises
 them for a reason, comes with new ones, which `python tests/test_work.py` writes.  A number is
-stated as the least and the most that it is when mean errors change in their last digits: where ties
+stated as the least and the most that it is when mean errors change in the tenth digit: where ties
 decide, machines differ.
 """
 
@@ -147,8 +147,6 @@ SOLVERS = {
     "plain_dynamic_program": ms.plain_dynamic_program,
     "pareto_front": ms.pareto_front,
 }
-
-
 FREE = ("relax", "relax_interior_point")  #: know neither switching costs nor a budget
 
 
